@@ -1,0 +1,229 @@
+"""Every parameter of the estimator, one frozen section a stage.
+
+Each field is documented with its unit and meaning, and the paper's value where it has one.
+`EstimatorConfig()` is the default method; `EstimatorConfig.paper()` is the method of Wen et al.
+(ICRA 2020) as published.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class ObservationConfig:
+    """Region of interest, surface estimates and scene cloud."""
+
+    margin: float = 0.01
+    """Added to the hand's reach and the object's size for the region of interest [m]."""
+    point_spacing: float = 0.0025
+    """Distance between neighbouring points of the scene cloud P_S [m]."""
+    normal_window: float = 0.004
+    """Radius of the neighbourhood that a normal is fitted to [m]."""
+    normal_gate: float = 1.5
+    """A neighbour whose depth differs by more than this times `normal_window` is left out."""
+    missing_window: int = 9
+    """Radius of the window that tells small holes from areas without any reading [pixel]."""
+    min_points: int = 50
+    """Fewer readings in the region of interest than this: no answer."""
+
+
+@dataclass(frozen=True)
+class WristConfig:
+    """Correction of the wrist pose."""
+
+    method: Literal["prior", "icp"] = "prior"
+    """`icp`: the paper's; `prior`: held to the given pose where the image says nothing."""
+    prior_sd_translation: float = 0.005
+    """Standard deviation per axis of the given wrist pose [m]."""
+    prior_sd_rotation: float = 0.03
+    """Standard deviation per axis of the given wrist pose [rad]."""
+    iterations: int = 12
+    """Gauss-Newton or ICP iterations."""
+    max_distance: float = 0.015
+    """Scene points farther from the model than this do not take part [m]."""
+    last_width: float = 0.005
+    """Width of the redescending weight in the last iteration [m]."""
+    point_information: float = 2.0e4
+    """Information of one surface point [1/m^2], see `HandStateConfig.point_information`."""
+
+
+@dataclass(frozen=True)
+class HandStateConfig:
+    """Search and refinement of the finger angles."""
+
+    method: Literal["visibility", "swarm"] = "visibility"
+    """`swarm`: the paper's particle swarm on Alg. 1; `visibility`: projective search, then a
+    joint Gauss-Newton over wrist and fingers."""
+    samples: int = 2000
+    """Configurations tried per finger."""
+    alternatives: int = 4
+    """Distinct configurations per finger that enter the joint refinement."""
+    distinct_angle: float = 0.15
+    """Configurations that differ by less than this in every joint are one [rad]."""
+    coarse_tolerance: float = 0.008
+    """Depth agreement during the search [m]."""
+    fine_tolerance: float = 0.004
+    """Depth agreement when refined configurations are compared [m]."""
+    violation: float = 1.0
+    """Penalty of a surface point that the camera looked through, in units of one agreeing point."""
+    missing: float = 0.5
+    """Penalty of a surface point in the middle of an area without readings."""
+    hidden: float = 0.05
+    """Penalty of a surface point behind something else."""
+    local_samples: int = 64
+    """Configurations tried around every alternative before the joint refinement."""
+    local_spread: float = 0.07
+    """Standard deviation of these around the alternative [rad]."""
+    first_width: float = 0.012
+    """Width of the redescending weight in the first iteration of the joint refinement [m]."""
+    last_width: float = 0.004
+    """Width of the redescending weight in the last iteration [m]."""
+    iterations: int = 12
+    """Gauss-Newton iterations of the joint refinement."""
+    point_information: float = 2.0e4
+    """Information of one surface point in the refinement [1/m^2]: about 1/(1.5 mm)^2, over the
+    number of neighbouring points whose errors go together."""
+    joint_damping: float = 4.0
+    """Information that holds every joint at its current angle in one iteration [1/rad^2]."""
+    particles: int = 15
+    """Particles of the swarm. Paper: 15."""
+    generations: int = 3
+    """Generations of the swarm. Paper: 3."""
+    lcp_distance: float = 0.005
+    """Alg. 1: a finger point nearer than this to the scene counts [m]."""
+    lcp_normal_angle: float = 0.7854
+    """Alg. 1: and whose normal differs by less than this [rad]."""
+    collision_distance: float = 0.002
+    """Alg. 1: deeper penetration of another finger than this is penalised [m]."""
+    collision_penalty: float = 1.0e4
+    """Alg. 1: lambda_c, per metre of penetration and once. Paper: "very large"."""
+
+
+@dataclass(frozen=True)
+class SegmentationConfig:
+    """Removal of the hand from the scene cloud."""
+
+    method: Literal["soft", "threshold"] = "soft"
+    """`threshold`: the paper's; `soft`: points near the hand keep a weight."""
+    hand_distance: float = 0.003
+    """Points with a smaller signed distance to the hand are the hand's [m]. Paper: 3 mm."""
+    min_points: int = 12
+    """Fewer object points than this: no answer."""
+
+
+@dataclass(frozen=True)
+class HypothesesConfig:
+    """Generation of object poses."""
+
+    method: Literal["pairs", "congruent_sets"] = "pairs"
+    """`congruent_sets`: the paper's Alg. 2 and Super4PCS extraction; `pairs`: oriented pairs."""
+    heuristic_decay: float = 300.0
+    """lambda of pi(p) ~ 1 - exp(-lambda SDF) [1/m]."""
+    sampling_discount: float = 0.5
+    """gamma: factor on a point's probability each time it is sampled. Paper: 0.5."""
+    bases: int = 100
+    """Number of 4-point bases sampled."""
+    max_tries: int = 100
+    """max_iter of Alg. 2."""
+    coplanarity: float = 0.003
+    """Distance of the fourth point to the plane of the other three at most [m]."""
+    min_angle: float = 0.5236
+    """delta of Alg. 2: smallest angle between b1b2 and b1b3 [rad]."""
+    congruence: float = 0.004
+    """Tolerance of pair lengths and intermediate points in the congruent-set extraction [m]."""
+    max_sets_per_base: int = 300
+    """Congruent sets aligned per base at most."""
+
+
+@dataclass(frozen=True)
+class ClusteringConfig:
+    """Reduction of the hypotheses to distinct poses."""
+
+    method: Literal["distinct", "se3"] = "distinct"
+    """`se3`: the paper's, Euclidean then geodesic; `distinct`: greedy by score."""
+    distance: float = 0.005
+    """Poses farther apart than this are distinct [m]."""
+    angle: float = 0.2618
+    """Poses whose rotations differ by more than this are distinct [rad]."""
+    keep: int = 100
+    """Clusters passed on at most."""
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """Refinement of every pose that is left."""
+
+    method: Literal["field", "icp"] = "field"
+    """`icp`: the paper's point-to-plane ICP; `field`: Gauss-Newton on the distance field."""
+    iterations: int = 12
+    """Iterations."""
+    max_distance: float = 0.010
+    """Correspondences farther than this are ignored [m]."""
+    merge_distance: float = 0.002
+    """Poses nearer than this and `merge_angle` are one afterwards [m]."""
+    merge_angle: float = 0.0873
+    """Poses nearer than this and `merge_distance` are one afterwards [rad]."""
+    keep: int = 100
+    """Poses kept with the highest score. Paper: 100."""
+
+
+@dataclass(frozen=True)
+class PruningConfig:
+    """Rejection of physically impossible poses."""
+
+    method: Literal["none", "physics"] = "none"
+    """`physics`: the paper's gates; `none`: left to the likelihood."""
+    max_penetration: float = 0.005
+    """Object poses deeper in the hand than this are rejected [m]."""
+    max_gap: float = 0.010
+    """Object poses farther from the hand than this do not touch it and are rejected [m]."""
+
+
+@dataclass(frozen=True)
+class SelectionConfig:
+    """Choice of the answer among the poses that are left."""
+
+    method: Literal["likelihood", "render"] = "likelihood"
+    """`render`: the paper's depth discrepancy, then LCP; `likelihood`: one score for all."""
+    keep_share: float = 1 / 3
+    """Share kept by the rendering discrepancy. Paper: 1/3."""
+    max_discrepancy: float = 0.03
+    """Depth differences are cut off here [m]."""
+    lcp_distance: float = 0.003
+    """LCP: a segment point nearer than this to the model counts [m]."""
+    lcp_normal_angle: float = 0.5236
+    """LCP: and whose normal differs by less than this [rad]."""
+    candidates: int = 10
+    """Ranked alternatives reported."""
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """All parameters of `PoseEstimator`."""
+
+    seed: int = 0
+    """Seed of everything random: the same seed gives the same answer, bit for bit."""
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    wrist: WristConfig = field(default_factory=WristConfig)
+    hand_state: HandStateConfig = field(default_factory=HandStateConfig)
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
+    clustering: ClusteringConfig = field(default_factory=ClusteringConfig)
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
+    pruning: PruningConfig = field(default_factory=PruningConfig)
+    selection: SelectionConfig = field(default_factory=SelectionConfig)
+
+    @classmethod
+    def paper(cls, seed: int = 0) -> "EstimatorConfig":
+        """The method of the paper, stage by stage."""
+        return cls(
+            seed=seed,
+            wrist=WristConfig(method="icp"),
+            hand_state=HandStateConfig(method="swarm"),
+            segmentation=SegmentationConfig(method="threshold"),
+            hypotheses=HypothesesConfig(method="congruent_sets"),
+            clustering=ClusteringConfig(method="se3"),
+            refinement=RefinementConfig(method="icp"),
+            pruning=PruningConfig(method="physics"),
+            selection=SelectionConfig(method="render"),
+        )

@@ -1,0 +1,1 @@
+"""Readers of recorded and rendered data sets."""

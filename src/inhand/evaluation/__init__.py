@@ -1,0 +1,1 @@
+"""Measuring an estimator against ground truth."""

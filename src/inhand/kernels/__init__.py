@@ -1,0 +1,1 @@
+"""Warp kernels, grouped by what they compute, and the one place that launches them."""

@@ -1,0 +1,46 @@
+"""The nearest of several posed rigid bodies."""
+
+import warp as wp
+
+from inhand.kernels.fields import Fields, field_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def nearest_body(
+    fields: Fields,
+    spheres: wp.array(dtype=wp.vec4),
+    T_world_body: wp.array(dtype=wp.mat44),
+    first_pose: int,
+    used: wp.array(dtype=int),
+    first_used: int,
+    p: wp.vec3,
+    farthest: float,
+):
+    """Signed distance [m] and unit gradient, world frame, of the nearest body at point `p`.
+
+    Distances from `farthest` on are cut off there, with a zero gradient.
+
+    Args (beyond the obvious):
+        spheres: bounding sphere of every body, body frame (centre, radius) [m].
+        T_world_body: poses, those of interest from `first_pose` on.
+        used: per body, from `first_used` on; 0 leaves it out.
+    """
+    best = farthest
+    gradient = wp.vec3(0.0, 0.0, 0.0)
+    for body in range(spheres.shape[0]):
+        if used[first_used + body] == 0:
+            continue
+        T = T_world_body[first_pose + body]
+        s = spheres[body]
+        offset = p - wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
+        bound = s[3] + wp.max(best, 0.0)
+        if wp.dot(offset, offset) > bound * bound:
+            continue
+        local = wp.transform_vector(wp.transpose(T), p - wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+        value = field_at(fields, body, local)
+        if value[0] < best:
+            best = value[0]
+            gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+    return best, gradient

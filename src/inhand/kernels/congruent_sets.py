@@ -1,0 +1,381 @@
+"""Sampling of 4-point bases (paper, Alg. 2) and extraction of their congruent sets (Super4PCS).
+
+A base is two pairs of points, (0, 1) and (2, 3), whose lines cross. The crossing divides the pairs
+in two ratios. Rigid motions keep the pairs' lengths, the ratios and the angle between the pairs,
+so two pairs of model points with these lengths, whose intermediate points at these ratios coincide
+and which enclose this angle, are a congruent set (Mellado et al., "Super 4PCS", 2014).
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class PairIndex:
+    """Point pairs of the model, grouped by the cell of their discretised feature."""
+
+    points: wp.array(dtype=wp.vec3)
+    normals: wp.array(dtype=wp.vec3)
+    cell_start: wp.array(dtype=int)
+    pair_first: wp.array(dtype=int)
+    pair_second: wp.array(dtype=int)
+    distance_step: float
+    """[m]"""
+    n_distance: int
+    n_angle: int
+
+
+@wp.func
+def angle_between(a: wp.vec3, b: wp.vec3):
+    """Angle between two unit vectors [rad]."""
+    return wp.acos(wp.clamp(wp.dot(a, b), -1.0, 1.0))
+
+
+@wp.func
+def pair_feature(p: wp.vec3, n_p: wp.vec3, q: wp.vec3, n_q: wp.vec3):
+    """PPF(p, q): distance [m] and angles of n_p and line, n_q and line, n_p and n_q [rad]."""
+    line = q - p
+    distance = wp.length(line)
+    d = line / wp.max(distance, 1.0e-9)
+    return wp.vec4(distance, angle_between(n_p, d), angle_between(n_q, d), angle_between(n_p, n_q))
+
+
+@wp.func
+def angle_bin(model: PairIndex, angle: float):
+    """Bin of an angle [rad]."""
+    return wp.clamp(int(angle / wp.PI * float(model.n_angle)), 0, model.n_angle - 1)
+
+
+@wp.func
+def known_to_model(model: PairIndex, feature: wp.vec4):
+    """Whether some pair of the model has this discretised feature: PPF_M[f] is not empty."""
+    d = int(feature[0] / model.distance_step)
+    if d >= model.n_distance:
+        return False
+    n = model.n_angle
+    cell = (d * n + angle_bin(model, feature[1])) * n + angle_bin(model, feature[2])
+    cell = cell * n + angle_bin(model, feature[3])
+    return model.cell_start[cell + 1] > model.cell_start[cell]
+
+
+@wp.struct
+class BaseRule:
+    """Parameters of Alg. 2."""
+
+    discount: float
+    """gamma: factor on a point's probability when it is sampled."""
+    max_tries: int
+    coplanarity: float
+    """Largest distance of the fourth point to the plane of the others [m]."""
+    max_cosine: float
+    """Largest absolute cosine of the angle at the first point."""
+
+
+@wp.func
+def draw(pi: wp.array2d(dtype=float), row: int, r: float):
+    """Index drawn by the probabilities in a row of `pi`, from r in [0, 1); -1 if all are 0."""
+    total = float(0.0)
+    for k in range(pi.shape[1]):
+        total += pi[row, k]
+    if total <= 0.0:
+        return -1
+    left = r * total
+    chosen = int(-1)
+    for k in range(pi.shape[1]):
+        if pi[row, k] > 0.0:
+            chosen = k
+            left -= pi[row, k]
+            if left < 0.0:
+                break
+    return chosen
+
+
+@wp.func
+def crossing_ratios(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
+    """Where the lines ab and cd come nearest: a + r1 (b - a) and c + r2 (d - c)."""
+    u = b - a
+    v = d - c
+    w = a - c
+    uu = wp.dot(u, u)
+    vv = wp.dot(v, v)
+    uv = wp.dot(u, v)
+    determinant = uu * vv - uv * uv
+    if determinant < 1.0e-4 * uu * vv:
+        return wp.vec2(1.0e3, 1.0e3)
+    r1 = (uv * wp.dot(v, w) - vv * wp.dot(u, w)) / determinant
+    r2 = (uu * wp.dot(v, w) - uv * wp.dot(u, w)) / determinant
+    return wp.vec2(r1, r2)
+
+
+@wp.kernel
+def sample_bases(
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    prior: wp.array(dtype=float),
+    model: PairIndex,
+    rule: BaseRule,
+    seed: int,
+    pi: wp.array2d(dtype=float),
+    bases: wp.array(dtype=wp.vec4i),
+    ratios: wp.array(dtype=wp.vec2),
+    first: int,
+):
+    """One work item a base, with its own random stream: SAMPLE_ONE_BASE of Alg. 2.
+
+    Args (beyond the obvious):
+        prior: probability of every point before anything was sampled, shape (n,).
+        pi: scratch, shape (bases, n).
+        bases: out, indices of the points, pairs (0, 1) and (2, 3); -1 where none was found.
+        ratios: out, where the pairs' lines cross.
+    """
+    i = first + wp.tid()
+    state = wp.rand_init(seed, i)
+    bases[i] = wp.vec4i(-1, -1, -1, -1)
+    for k in range(points.shape[0]):
+        pi[i, k] = prior[k]
+    b1 = draw(pi, i, wp.randf(state))
+    if b1 < 0:
+        return
+    p1 = points[b1]
+    for k in range(points.shape[0]):
+        if not known_to_model(model, pair_feature(points[k], normals[k], p1, normals[b1])):
+            pi[i, k] = 0.0
+    pi[i, b1] = 0.0
+
+    b2 = int(-1)
+    b3 = int(-1)
+    plane = wp.vec3()
+    for _ in range(rule.max_tries):
+        j = draw(pi, i, wp.randf(state))
+        k = draw(pi, i, wp.randf(state))
+        if j < 0 or j == k:
+            continue
+        pi[i, j] = rule.discount * pi[i, j]
+        pi[i, k] = rule.discount * pi[i, k]
+        if not known_to_model(model, pair_feature(points[j], normals[j], points[k], normals[k])):
+            continue
+        u = wp.normalize(points[j] - p1)
+        v = wp.normalize(points[k] - p1)
+        # Points in line are as useless at 180 degrees as at 0.
+        if wp.abs(wp.dot(u, v)) < rule.max_cosine:
+            b2 = j
+            b3 = k
+            plane = wp.normalize(wp.cross(u, v))
+            break
+    if b2 < 0:
+        return
+
+    for _ in range(rule.max_tries):
+        b4 = draw(pi, i, wp.randf(state))
+        if b4 < 0:
+            return
+        pi[i, b4] = rule.discount * pi[i, b4]
+        p4 = points[b4]
+        if b4 == b2 or b4 == b3 or wp.abs(wp.dot(plane, p4 - p1)) > rule.coplanarity:
+            continue
+        f24 = pair_feature(points[b2], normals[b2], p4, normals[b4])
+        f34 = pair_feature(points[b3], normals[b3], p4, normals[b4])
+        if known_to_model(model, f24) and known_to_model(model, f34):
+            pair_up(points, wp.vec4i(b1, b2, b3, b4), i, bases, ratios)
+            return
+
+
+@wp.func
+def pair_up(
+    points: wp.array(dtype=wp.vec3),
+    base: wp.vec4i,
+    i: int,
+    bases: wp.array(dtype=wp.vec4i),
+    ratios: wp.array(dtype=wp.vec2),
+):
+    """Store the base with the pairing whose lines cross nearest to the pairs' middles."""
+    best = float(1.0e3)
+    for k in range(3):
+        paired = base
+        if k == 1:
+            paired = wp.vec4i(base[0], base[2], base[1], base[3])
+        if k == 2:
+            paired = wp.vec4i(base[0], base[3], base[1], base[2])
+        r = crossing_ratios(
+            points[paired[0]], points[paired[1]], points[paired[2]], points[paired[3]]
+        )
+        outside = wp.max(wp.abs(r[0] - 0.5), wp.abs(r[1] - 0.5))
+        if outside < best:
+            best = outside
+            bases[i] = paired
+            ratios[i] = r
+
+
+@wp.kernel
+def find_pairs(
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    bases: wp.array(dtype=wp.vec4i),
+    ratios: wp.array(dtype=wp.vec2),
+    model: PairIndex,
+    tolerance: float,
+    angle_tolerance: float,
+    spread: float,
+    start: wp.array(dtype=int),
+    count: wp.array(dtype=int),
+    pair: wp.array(dtype=int),
+    middle: wp.array(dtype=wp.vec3),
+    first: int,
+):
+    """One work item a base's pair: the model's pairs like it, with their intermediate points.
+
+    Item i is pair i // n of base i % n, for n bases. Only counts while `pair` is empty.
+
+    Args (beyond the obvious):
+        tolerance: of the pair's length [m].
+        angle_tolerance: of the three angles of the pair's feature [rad].
+        spread: intermediate points of base b are shifted by b * spread along x [m], so that one
+            grid serves all bases.
+        start: first place of every item in the outputs.
+        count: out, number of pairs of every item.
+        pair: out, index of the model's pair.
+        middle: out, its intermediate point.
+    """
+    i = first + wp.tid()
+    base = i % bases.shape[0]
+    side = i // bases.shape[0]
+    a = bases[base][2 * side]
+    b = bases[base][2 * side + 1]
+    ratio = ratios[base][side]
+    shift = wp.vec3(float(base) * spread, 0.0, 0.0)
+    wanted = pair_feature(points[a], normals[a], points[b], normals[b])
+    n = model.n_angle
+    lo_d = wp.max(int((wanted[0] - tolerance) / model.distance_step), 0)
+    hi_d = wp.min(int((wanted[0] + tolerance) / model.distance_step), model.n_distance - 1)
+    lo_1 = angle_bin(model, wanted[1] - angle_tolerance)
+    hi_1 = angle_bin(model, wanted[1] + angle_tolerance)
+    lo_2 = angle_bin(model, wanted[2] - angle_tolerance)
+    hi_2 = angle_bin(model, wanted[2] + angle_tolerance)
+    lo_3 = angle_bin(model, wanted[3] - angle_tolerance)
+    hi_3 = angle_bin(model, wanted[3] + angle_tolerance)
+    found = int(0)
+    for d in range(lo_d, hi_d + 1):
+        for bin_1 in range(lo_1, hi_1 + 1):
+            for bin_2 in range(lo_2, hi_2 + 1):
+                # Cells that differ in the last angle alone lie one after the other.
+                row = ((d * n + bin_1) * n + bin_2) * n
+                for k in range(model.cell_start[row + lo_3], model.cell_start[row + hi_3 + 1]):
+                    p = model.points[model.pair_first[k]]
+                    q = model.points[model.pair_second[k]]
+                    f = pair_feature(
+                        p,
+                        model.normals[model.pair_first[k]],
+                        q,
+                        model.normals[model.pair_second[k]],
+                    )
+                    off = f - wanted
+                    if (
+                        wp.abs(off[0]) > tolerance
+                        or wp.abs(off[1]) > angle_tolerance
+                        or wp.abs(off[2]) > angle_tolerance
+                        or wp.abs(off[3]) > angle_tolerance
+                    ):
+                        continue
+                    if pair.shape[0] > 0:
+                        pair[start[i] + found] = k
+                        middle[start[i] + found] = p + ratio * (q - p) + shift
+                    found += 1
+    count[i] = found
+
+
+@wp.func
+def handedness(u: wp.vec3, v: wp.vec3, n1: wp.vec3, n2: wp.vec3, n3: wp.vec3, n4: wp.vec3):
+    """On which side of the plane of lines u and v the surface looks; tells mirror images apart."""
+    return 0.25 * wp.dot(wp.normalize(wp.cross(u, v)), n1 + n2 + n3 + n4)
+
+
+@wp.kernel
+def match_pairs(
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    bases: wp.array(dtype=wp.vec4i),
+    owner: wp.array(dtype=int),
+    model: PairIndex,
+    pair: wp.array(dtype=int),
+    middle: wp.array(dtype=wp.vec3),
+    second_start: int,
+    grid: wp.uint64,
+    tolerance: float,
+    angle_tolerance: float,
+    rank: wp.array(dtype=int),
+    total: wp.array(dtype=int),
+    limit: int,
+    set_start: wp.array(dtype=int),
+    count: wp.array(dtype=int),
+    sets: wp.array(dtype=wp.vec4i),
+    first: int,
+):
+    """One work item a first pair found on the model: the second pairs that complete it.
+
+    Only counts while `sets` is empty. Otherwise an even choice of `limit` sets a base is stored.
+
+    Args (beyond the obvious):
+        owner: base of every first pair.
+        pair, middle: from `find_pairs`; second pairs start at `second_start`.
+        grid: hash grid of the second pairs' intermediate points.
+        tolerance: of the distance between the two intermediate points [m].
+        angle_tolerance: of the angle between the two pairs [rad].
+        rank: number of the base's sets before this item's.
+        total: number of sets of every base.
+        set_start: first place of every base in `sets`.
+        count: out, number of sets of every item.
+        sets: out, indices of the four model points.
+    """
+    i = first + wp.tid()
+    base = owner[i]
+    b = bases[base]
+    u = wp.normalize(points[b[1]] - points[b[0]])
+    v = wp.normalize(points[b[3]] - points[b[2]])
+    angle = angle_between(u, v)
+    side = handedness(u, v, normals[b[0]], normals[b[1]], normals[b[2]], normals[b[3]])
+    q0 = model.pair_first[pair[i]]
+    q1 = model.pair_second[pair[i]]
+    u = wp.normalize(model.points[q1] - model.points[q0])
+    found = int(0)
+    query = wp.hash_grid_query(grid, middle[i], tolerance)
+    candidate = int(0)
+    while wp.hash_grid_query_next(query, candidate):
+        j = second_start + candidate
+        if wp.length(middle[j] - middle[i]) > tolerance:
+            continue
+        q2 = model.pair_first[pair[j]]
+        q3 = model.pair_second[pair[j]]
+        v = wp.normalize(model.points[q3] - model.points[q2])
+        if wp.abs(angle_between(u, v) - angle) > angle_tolerance:
+            continue
+        same = handedness(
+            u, v, model.normals[q0], model.normals[q1], model.normals[q2], model.normals[q3]
+        )
+        if wp.abs(same - side) > angle_tolerance:
+            continue
+        if sets.shape[0] > 0:
+            store_evenly(
+                sets,
+                set_start[base],
+                rank[i] + found,
+                total[base],
+                limit,
+                wp.vec4i(q0, q1, q2, q3),
+            )
+        found += 1
+    count[i] = found
+
+
+@wp.func
+def store_evenly(
+    sets: wp.array(dtype=wp.vec4i), start: int, rank: int, total: int, limit: int, value: wp.vec4i
+):
+    """Store the set number `rank` of `total` if it is one of `limit` evenly chosen ones."""
+    if total <= limit:
+        sets[start + rank] = value
+        return
+    place = (wp.int64(rank) * wp.int64(limit)) / wp.int64(total)
+    before = (wp.int64(rank - 1) * wp.int64(limit)) / wp.int64(total)
+    if rank == 0 or before < place:
+        sets[start + int(place)] = value

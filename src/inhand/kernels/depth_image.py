@@ -1,0 +1,131 @@
+"""Local surface estimates from an organised depth image."""
+
+import warp as wp
+
+from inhand.kernels.depth import Pinhole
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def back_project(camera: Pinhole, u: float, v: float, z: float):
+    """The point [m] of the camera frame at pixel (u, v) and depth z."""
+    return wp.vec3((u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z)
+
+
+@wp.kernel
+def fit_planes(
+    camera: Pinhole,
+    depth: wp.array(dtype=float),
+    window: float,
+    gate: float,
+    smooth: wp.array(dtype=float),
+    normals: wp.array(dtype=wp.vec3),
+    first: int,
+):
+    """One work item a pixel: plane through its neighbourhood, by least squares in inverse depth.
+
+    On a plane the inverse depth is linear in the pixel coordinates, so the fit is a 3x3 system.
+
+    Args (beyond the obvious):
+        window: radius of the neighbourhood [m].
+        gate: neighbours whose depth differs by more are left out, per metre of window radius.
+        smooth: out, depth of the fitted plane at the pixel [m], 0 without a reading.
+        normals: out, unit normal towards the camera, 0 where no plane could be fitted.
+    """
+    i = first + wp.tid()
+    u = i % camera.width
+    v = i // camera.width
+    z = depth[i]
+    smooth[i] = z
+    normals[i] = wp.vec3(0.0, 0.0, 0.0)
+    if z <= 0.0:
+        return
+    radius = wp.clamp(int(window * camera.fx / z + 0.5), 2, 6)
+    step = wp.max(1, radius // 2)
+    tolerance = gate * window
+    n = float(0.0)
+    sx = float(0.0)
+    sy = float(0.0)
+    sxx = float(0.0)
+    sxy = float(0.0)
+    syy = float(0.0)
+    sw = float(0.0)
+    sxw = float(0.0)
+    syw = float(0.0)
+    reach = (radius // step) * step
+    for dv in range(-reach, reach + 1, step):
+        for du in range(-reach, reach + 1, step):
+            x = u + du
+            y = v + dv
+            if x < 0 or y < 0 or x >= camera.width or y >= camera.height:
+                continue
+            d = depth[y * camera.width + x]
+            if d <= 0.0 or wp.abs(d - z) > tolerance:
+                continue
+            w = 1.0 / d - 1.0 / z
+            fx = float(du)
+            fy = float(dv)
+            n += 1.0
+            sx += fx
+            sy += fy
+            sxx += fx * fx
+            sxy += fx * fy
+            syy += fy * fy
+            sw += w
+            sxw += fx * w
+            syw += fy * w
+    if n < 6.0:
+        return
+    mx = sx / n
+    my = sy / n
+    mw = sw / n
+    cxx = sxx / n - mx * mx
+    cxy = sxy / n - mx * my
+    cyy = syy / n - my * my
+    cxw = sxw / n - mx * mw
+    cyw = syw / n - my * mw
+    determinant = cxx * cyy - cxy * cxy
+    if determinant < 0.05 * cxx * cyy or determinant < 1.0e-3:
+        return
+    a = (cxw * cyy - cyw * cxy) / determinant
+    b = (cyw * cxx - cxw * cxy) / determinant
+    centre = 1.0 / z + mw - a * mx - b * my
+    if centre <= 0.0:
+        return
+    smooth[i] = 1.0 / centre
+    # 1/z = a (u - u0) + b (v - v0) + centre = n . ray / D for the plane n . X = D.
+    at_axis = centre + a * (camera.cx - float(u)) + b * (camera.cy - float(v))
+    normal = wp.normalize(wp.vec3(a * camera.fx, b * camera.fy, at_axis))
+    # With D > 0 the vector points away from the camera.
+    normals[i] = -normal
+
+
+@wp.kernel
+def missing_share(
+    depth: wp.array(dtype=float),
+    width: int,
+    height: int,
+    radius: int,
+    share: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a pixel: share of pixels without a reading in the window of `radius` [pixel].
+
+    Small holes are sensor noise; a wide area without readings is most likely empty.
+    """
+    i = first + wp.tid()
+    u = i % width
+    v = i // width
+    share[i] = 0.0
+    if depth[i] > 0.0:
+        return
+    step = wp.max(1, radius // 3)
+    missing = int(0)
+    total = int(0)
+    for y in range(wp.max(v - radius, 0), wp.min(v + radius + 1, height), step):
+        for x in range(wp.max(u - radius, 0), wp.min(u + radius + 1, width), step):
+            total += 1
+            if depth[y * width + x] <= 0.0:
+                missing += 1
+    share[i] = float(missing) / float(total)

@@ -1,0 +1,62 @@
+"""Signed distance fields of several rigid bodies, packed for kernels."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from inhand.geometry.distance_field import DistanceField
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Fields:
+    """Distance fields of bodies 0..b-1, one after the other in `values`."""
+
+    values: wp.array(dtype=wp.vec4)
+    """Signed distance [m], negative inside, and its unit gradient, at the voxel centres."""
+    start: wp.array(dtype=int)
+    size: wp.array(dtype=wp.vec3i)
+    origin: wp.array(dtype=wp.vec3)
+    voxel: wp.array(dtype=float)
+
+
+def pack_fields(fields: Sequence[DistanceField], device: str) -> Any:
+    """`fields` as one kernel argument."""
+    counts = [int(np.prod(f.values.shape[:3])) for f in fields]
+    packed = Fields()
+    values = np.concatenate([f.values.reshape(-1, 4) for f in fields])
+    packed.values = wp.array(values, dtype=wp.vec4, device=device)
+    packed.start = wp.array(np.cumsum([0, *counts[:-1]]), dtype=int, device=device)
+    packed.size = wp.array([f.values.shape[:3] for f in fields], dtype=wp.vec3i, device=device)
+    packed.origin = wp.array([f.origin for f in fields], dtype=wp.vec3, device=device)
+    packed.voxel = wp.array([f.voxel for f in fields], dtype=float, device=device)
+    return packed
+
+
+@wp.func
+def field_at(fields: Fields, body: int, p: wp.vec3):
+    """Signed distance [m] and unit gradient at point `p` of the body's frame.
+
+    As `DistanceField.distance`: first-order from the nearest voxel's centre; outside the grid, the
+    value at the nearest point of the grid plus the distance to it.
+    """
+    size = fields.size[body]
+    voxel = fields.voxel[body]
+    local = (p - fields.origin[body]) / voxel
+    inside = wp.vec3(
+        wp.clamp(local[0], 0.0, float(size[0] - 1)),
+        wp.clamp(local[1], 0.0, float(size[1] - 1)),
+        wp.clamp(local[2], 0.0, float(size[2] - 1)),
+    )
+    i = int(inside[0] + 0.5)
+    j = int(inside[1] + 0.5)
+    k = int(inside[2] + 0.5)
+    value = fields.values[fields.start[body] + (i * size[1] + j) * size[2] + k]
+    gradient = wp.vec3(value[1], value[2], value[3])
+    offset = inside - wp.vec3(float(i), float(j), float(k))
+    beyond = wp.length(local - inside)
+    distance = value[0] + voxel * (wp.dot(gradient, offset) + beyond)
+    return wp.vec4(distance, gradient[0], gradient[1], gradient[2])

@@ -1,0 +1,302 @@
+"""Agreement of a posed hand with the depth image: scores, and the terms of its Gauss-Newton fit."""
+
+import warp as wp
+
+from inhand.kernels.depth import Pinhole
+from inhand.kernels.fields import Fields, field_at
+
+wp.set_module_options({"enable_backward": False})
+
+# Per block and link: 21 numbers of the symmetric 6x6 matrix, 6 of the right-hand side, the weight.
+TERMS = 28
+
+
+@wp.struct
+class DepthView:
+    """The region of interest as kernels see it; images are flat, row by row."""
+
+    camera: Pinhole
+    depth: wp.array(dtype=float)
+    """Depth [m], 0 where there is no reading."""
+    normals: wp.array(dtype=wp.vec3)
+    """Unit normals towards the camera, 0 where unknown."""
+    missing: wp.array(dtype=float)
+    """Share of missing readings around every pixel without a reading."""
+
+
+@wp.struct
+class Visibility:
+    """How a surface point that faces the camera is judged by the pixel it falls on."""
+
+    tolerance: float
+    """Depth difference up to which the point agrees with the reading [m]."""
+    violation: float
+    """Penalty when the reading lies behind the point: the camera saw through it."""
+    missing: float
+    """Penalty in the middle of an area without readings."""
+    hidden: float
+    """Penalty when the reading lies in front of the point."""
+
+
+@wp.func
+def pixel_of(camera: Pinhole, p: wp.vec3):
+    """Index of the pixel that shows point `p`, -1 outside the image."""
+    if p[2] <= 1.0e-3:
+        return -1
+    u = int(wp.floor(camera.fx * p[0] / p[2] + camera.cx + 0.5))
+    v = int(wp.floor(camera.fy * p[1] / p[2] + camera.cy + 0.5))
+    if u < 0 or v < 0 or u >= camera.width or v >= camera.height:
+        return -1
+    return v * camera.width + u
+
+
+@wp.func
+def judge_point(view: DepthView, rule: Visibility, p: wp.vec3, n: wp.vec3, pixel: int):
+    """Score of one camera-facing surface point, between -violation and 1."""
+    d = view.depth[pixel]
+    if d <= 0.0:
+        return -rule.missing * view.missing[pixel]
+    behind = d - p[2]
+    if behind > rule.tolerance:
+        return -rule.violation
+    if behind < -rule.tolerance:
+        return -rule.hidden
+    near = 1.0 - wp.abs(behind) / rule.tolerance
+    return (0.4 + 0.6 * near) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
+
+
+@wp.kernel
+def score_configurations(
+    view: DepthView,
+    rule: Visibility,
+    T_camera_link: wp.array(dtype=wp.mat44),
+    n_links: int,
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    link: wp.array(dtype=int),
+    samples: wp.array(dtype=int),
+    fixed_depth: wp.array(dtype=float),
+    score: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a configuration: mean judgement of its camera-facing surface samples.
+
+    Args (beyond the obvious):
+        T_camera_link: link poses of all configurations, flat (c * n_links).
+        samples: indices of the surface samples that take part.
+        fixed_depth: rendered depth [m] of the parts that do not move; what they hide is left out.
+        score: out, mean judgement weighted by the projected area.
+    """
+    c = first + wp.tid()
+    total = float(0.0)
+    area = float(1.0e-6)
+    for s in range(samples.shape[0]):
+        i = samples[s]
+        T = T_camera_link[c * n_links + link[i]]
+        p = wp.transform_point(T, points[i])
+        n = wp.transform_vector(T, normals[i])
+        facing = -wp.dot(n, p) / wp.length(p)
+        if facing < 0.1:
+            continue
+        area += facing
+        pixel = pixel_of(view.camera, p)
+        if pixel < 0:
+            continue
+        hidden_by = fixed_depth[pixel]
+        if hidden_by > 0.0 and hidden_by < p[2] - rule.tolerance:
+            continue
+        total += facing * judge_point(view, rule, p, n, pixel)
+    score[c] = total / area
+
+
+@wp.func
+def add_term(
+    out: wp.array(dtype=float), at: int, moment: wp.vec3, direction: wp.vec3, r: float, w: float
+):
+    """Add w j j^T and w j r to the terms at `at`, for j = (moment, direction)."""
+    j = wp.vector(
+        moment[0],
+        moment[1],
+        moment[2],
+        direction[0],
+        direction[1],
+        direction[2],
+    )
+    k = at
+    for a in range(6):
+        wa = w * j[a]
+        for b in range(a, 6):
+            out[k] = out[k] + wa * j[b]
+            k += 1
+    for a in range(6):
+        out[k] = out[k] + w * j[a] * r
+        k += 1
+    out[k] = out[k] + w
+
+
+@wp.func
+def redescending(r: float, width: float):
+    """Tukey's weight: 1 at zero, 0 from `width` on."""
+    x = r / width
+    if x * x >= 1.0:
+        return 0.0
+    return (1.0 - x * x) * (1.0 - x * x)
+
+
+@wp.kernel
+def scene_to_hand_terms(
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    weights: wp.array(dtype=float),
+    fields: Fields,
+    spheres: wp.array(dtype=wp.vec4),
+    T_camera_link: wp.array(dtype=wp.mat44),
+    used: wp.array(dtype=int),
+    pivot: wp.array(dtype=wp.vec3),
+    width: wp.array(dtype=float),
+    n_blocks: int,
+    terms: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a start and block of scene points: distance to the nearest link's surface.
+
+    Args (beyond the obvious):
+        weights: weight of every scene point.
+        spheres: bounding sphere of every link's field, link frame (centre, radius) [m].
+        T_camera_link: link poses of all starts, flat (s * n_links).
+        used: per link, 0 leaves it out.
+        pivot: per start, the point that rotations are about [m], camera frame.
+        width: per start, width of the redescending weight [m].
+        n_blocks: blocks per start; block b takes the points b, b + n_blocks, ...
+        terms: out, flat (s, block, link, TERMS), must be zero.
+    """
+    item = first + wp.tid()
+    start = item // n_blocks
+    block = item % n_blocks
+    n_links = used.shape[0]
+    c = pivot[start]
+    reach = width[start]
+    for i in range(block, points.shape[0], n_blocks):
+        p = points[i]
+        best = float(reach)
+        best_link = int(-1)
+        best_gradient = wp.vec3(0.0, 0.0, 0.0)
+        for l in range(n_links):
+            if used[l] == 0:
+                continue
+            T = T_camera_link[start * n_links + l]
+            s = spheres[l]
+            offset = p - wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
+            bound = s[3] + best
+            if wp.dot(offset, offset) > bound * bound:
+                continue
+            local = wp.transform_vector(
+                wp.transpose(T), p - wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+            )
+            value = field_at(fields, l, local)
+            if value[0] < best:
+                best = value[0]
+                best_link = l
+                best_gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+        if best_link < 0:
+            continue
+        agreement = wp.dot(best_gradient, normals[i])
+        w = weights[i] * redescending(best, reach) * wp.max(0.0, agreement)
+        if w <= 0.0:
+            continue
+        arm = p - c
+        at = (item * n_links + best_link) * TERMS
+        add_term(terms, at, wp.cross(arm, best_gradient), best_gradient, best, w)
+
+
+@wp.kernel
+def hand_to_scene_terms(
+    view: DepthView,
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    link: wp.array(dtype=int),
+    used: wp.array(dtype=int),
+    T_camera_link: wp.array(dtype=wp.mat44),
+    pivot: wp.array(dtype=wp.vec3),
+    width: wp.array(dtype=float),
+    n_blocks: int,
+    terms: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a start and block of surface samples: plane distance to the pixel they fall on.
+
+    Arguments as `scene_to_hand_terms`; terms are added to what is there.
+    """
+    item = first + wp.tid()
+    start = item // n_blocks
+    block = item % n_blocks
+    n_links = used.shape[0]
+    c = pivot[start]
+    reach = width[start]
+    for i in range(block, points.shape[0], n_blocks):
+        l = link[i]
+        if used[l] == 0:
+            continue
+        T = T_camera_link[start * n_links + l]
+        p = wp.transform_point(T, points[i])
+        n = wp.transform_vector(T, normals[i])
+        facing = -wp.dot(n, p) / wp.length(p)
+        if facing < 0.15:
+            continue
+        pixel = pixel_of(view.camera, p)
+        if pixel < 0:
+            continue
+        d = view.depth[pixel]
+        if d <= 0.0:
+            continue
+        # The reading on the ray through the sample.
+        r = (d / p[2] - 1.0) * wp.dot(n, p)
+        if wp.abs(d - p[2]) > reach:
+            continue
+        w = facing * redescending(r, reach) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
+        if w <= 0.0:
+            continue
+        at = (item * n_links + l) * TERMS
+        add_term(terms, at, wp.cross(p - c, n), n, r, w)
+
+
+@wp.kernel
+def hand_distances(
+    points: wp.array(dtype=wp.vec3),
+    fields: Fields,
+    spheres: wp.array(dtype=wp.vec4),
+    T_camera_link: wp.array(dtype=wp.mat44),
+    used: wp.array(dtype=int),
+    farthest: float,
+    distance: wp.array(dtype=float),
+    gradient: wp.array(dtype=wp.vec3),
+    link: wp.array(dtype=int),
+    first: int,
+):
+    """One work item a point: signed distance [m] to the posed hand, its gradient and link.
+
+    Distances beyond `farthest` are cut off there, with link -1.
+    """
+    i = first + wp.tid()
+    p = points[i]
+    best = farthest
+    best_link = int(-1)
+    best_gradient = wp.vec3(0.0, 0.0, 0.0)
+    for l in range(used.shape[0]):
+        if used[l] == 0:
+            continue
+        T = T_camera_link[l]
+        s = spheres[l]
+        offset = p - wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
+        bound = s[3] + best
+        if wp.dot(offset, offset) > bound * bound:
+            continue
+        local = wp.transform_vector(wp.transpose(T), p - wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+        value = field_at(fields, l, local)
+        if value[0] < best:
+            best = value[0]
+            best_link = l
+            best_gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+    distance[i] = best
+    gradient[i] = best_gradient
+    link[i] = best_link

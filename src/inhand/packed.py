@@ -1,0 +1,83 @@
+"""Hand and object models laid out for kernels on one device."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from inhand.hand import Hand
+from inhand.kernels.depth import DepthRenderer, bounding_sphere
+from inhand.kernels.fields import pack_fields
+from inhand.object_model import ObjectModel
+
+
+class PackedHand:
+    """A hand on a device.
+
+    Attributes:
+        hand: the model.
+        device: Warp device name.
+        fields: distance fields of the links, `kernels.fields.Fields`.
+        points, normals: surface samples of all links, link frames, `wp.vec3`.
+        link: index of the link of every sample, int.
+        point_start: first sample of every link, numpy (L + 1,).
+        spheres: bounding sphere of every link, link frame (centre, radius) [m], `wp.vec4`.
+        renderer: ray caster of the links.
+    """
+
+    def __init__(self, hand: Hand, device: str) -> None:
+        self.hand = hand
+        self.device = device
+        self.fields = pack_fields([link.distance_field for link in hand.links], device)
+        counts = [len(link.surface.points) for link in hand.links]
+        self.point_start = np.cumsum([0, *counts])
+        self.points = wp.array(
+            np.concatenate([x.surface.points for x in hand.links]), dtype=wp.vec3, device=device
+        )
+        self.normals = wp.array(
+            np.concatenate([x.surface.normals for x in hand.links]), dtype=wp.vec3, device=device
+        )
+        self.link = wp.array(np.repeat(np.arange(len(counts)), counts), dtype=int, device=device)
+        self.spheres = wp.array(
+            [bounding_sphere(link.mesh) for link in hand.links], dtype=wp.vec4, device=device
+        )
+        self.renderer = DepthRenderer([link.mesh for link in hand.links], device)
+
+    def link_poses(
+        self, q: NDArray[np.float64], T_camera_hand: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """T_camera_link, shape (b, L, 4, 4), at joint vectors (b, n) and wrist poses (b, 4, 4)."""
+        return np.asarray(T_camera_hand[:, None] @ self.hand.forward_kinematics(q))
+
+
+class PackedObject:
+    """An object on a device.
+
+    Attributes:
+        model: the object model.
+        device: Warp device name.
+        fields: its distance field, `kernels.fields.Fields` with one body.
+        points, normals: surface samples in progressive order, object frame, `wp.vec3`.
+        cell_start, pair_first, pair_second: the pair table, int.
+        renderer: ray caster of the object.
+    """
+
+    def __init__(self, model: ObjectModel, device: str) -> None:
+        self.model = model
+        self.device = device
+        self.fields = pack_fields([model.distance_field], device)
+        self.points = wp.array(model.surface.points, dtype=wp.vec3, device=device)
+        self.normals = wp.array(model.surface.normals, dtype=wp.vec3, device=device)
+        self.cell_start = wp.array(model.pairs.cell_start, dtype=int, device=device)
+        self.pair_first = wp.array(model.pairs.pair_first, dtype=int, device=device)
+        self.pair_second = wp.array(model.pairs.pair_second, dtype=int, device=device)
+        self.renderer = DepthRenderer([model.mesh], device)
+
+
+def device_poses(T: NDArray[Any], device: str) -> Any:
+    """Transforms of shape (..., 4, 4) as a flat Warp array of `wp.mat44`."""
+    flat = np.ascontiguousarray(T, dtype=np.float32).reshape(-1, 4, 4)
+    return wp.array(flat, dtype=wp.mat44, device=device)
+
+

@@ -1,0 +1,171 @@
+"""What the camera saw around the hand: region of interest, normals, scene cloud P_S."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from inhand.camera import Camera
+from inhand.config import ObservationConfig
+from inhand.errors import NoAnswer
+from inhand.geometry.se3 import transform
+from inhand.kernels.depth import pinhole
+from inhand.kernels.depth_image import fit_planes, missing_share
+from inhand.kernels.launch import launch
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The region of interest of the depth image and the scene cloud made from it."""
+
+    camera: Camera
+    """Camera of the region of interest."""
+    offset: tuple[int, int]
+    """Pixel (u, v) of the whole image where the region of interest starts."""
+    depth: NDArray[np.float32]
+    """Depth of the region of interest [m], shape (h, w), 0 where there is no reading."""
+    depth_on_device: Any = field(repr=False)
+    """The same as a flat `wp.array` of float."""
+    normals_on_device: Any = field(repr=False)
+    """Normals of all its pixels, flat `wp.array` of vec3, 0 where unknown."""
+    missing_on_device: Any = field(repr=False)
+    """Share of missing readings around every pixel without a reading, flat `wp.array`."""
+    points: NDArray[np.float32]
+    """Scene cloud P_S [m], camera frame, shape (n, 3)."""
+    normals: NDArray[np.float32]
+    """Unit normals of the scene cloud towards the camera, shape (n, 3)."""
+    pixels: NDArray[np.int32]
+    """Pixel (u, v) in the region of interest of every point, shape (n, 2)."""
+    T_camera_hand: NDArray[np.float64]
+    """The wrist pose as given, shape (4, 4)."""
+
+
+def observe(
+    depth: NDArray[np.float32],
+    camera: Camera,
+    T_camera_hand: NDArray[np.float64],
+    reach: tuple[NDArray[np.float64], float],
+    object_diameter: float,
+    config: ObservationConfig,
+    device: str,
+) -> Observation:
+    """Cut the region of interest out of the image and estimate its surfaces.
+
+    The region is the sphere around the hand's reach, grown by what an object in the fingers adds.
+
+    Args:
+        depth: depth image [m], shape (H, W), 0, NaN or inf where there is no reading.
+        camera: its camera.
+        T_camera_hand: approximate wrist pose, shape (4, 4).
+        reach: sphere (centre [m] in the hand frame, radius [m]) that holds the hand.
+        object_diameter: [m].
+        config: parameters.
+        device: Warp device name.
+
+    Raises:
+        NoAnswer: the hand lies outside the image or the region holds too few readings.
+    """
+    centre = transform(T_camera_hand, reach[0][None])[0]
+    radius = reach[1] + config.margin + 0.5 * object_diameter
+    u0, v0, u1, v1 = _window(camera, centre, radius)
+    roi = camera.crop(u0, v0, u1 - u0, v1 - v0)
+    window = np.nan_to_num(depth[v0:v1, u0:u1], nan=0.0, posinf=0.0, neginf=0.0)
+    near, far = centre[2] - radius, centre[2] + radius
+    # A reading behind the region of interest still proves free space: it is kept as an image.
+    inside = (window > max(near, 1e-3)) & (window < far)
+    if inside.sum() < config.min_points:
+        raise NoAnswer(
+            f"only {int(inside.sum())} depth readings lie in the region of the hand "
+            f"(around {centre[2]:.2f} m); check the wrist pose, the depth unit and the sensor range"
+        )
+    n = roi.width * roi.height
+    flat = wp.array(np.ascontiguousarray(window).reshape(-1), dtype=float, device=device)
+    smooth = wp.empty(n, dtype=float, device=device)
+    normals = wp.empty(n, dtype=wp.vec3, device=device)
+    missing = wp.empty(n, dtype=float, device=device)
+    launch(
+        fit_planes,
+        n,
+        [pinhole(roi), flat, config.normal_window, config.normal_gate, smooth, normals],
+        device,
+        work_per_item=25,
+    )
+    launch(
+        missing_share,
+        n,
+        [flat, roi.width, roi.height, config.missing_window, missing],
+        device,
+        work_per_item=10,
+    )
+    cloud = _sample_cloud(
+        smooth.numpy().reshape(window.shape),
+        normals.numpy().reshape(*window.shape, 3),
+        inside,
+        roi,
+        centre,
+        radius,
+        config,
+    )
+    return Observation(
+        camera=roi,
+        offset=(u0, v0),
+        depth=window,
+        depth_on_device=flat,
+        normals_on_device=normals,
+        missing_on_device=missing,
+        points=cloud[0],
+        normals=cloud[1],
+        pixels=cloud[2],
+        T_camera_hand=T_camera_hand,
+    )
+
+
+def _window(
+    camera: Camera, centre: NDArray[np.float64], radius: float
+) -> tuple[int, int, int, int]:
+    """Image rectangle (u0, v0, u1, v1) of the sphere."""
+    if centre[2] <= 0.01:
+        raise NoAnswer("the wrist pose puts the hand behind the camera")
+    nearest = max(centre[2] - radius, 0.3 * centre[2])
+    spans = []
+    for x, f, c, size in (
+        (centre[0], camera.fx, camera.cx, camera.width),
+        (centre[1], camera.fy, camera.cy, camera.height),
+    ):
+        edges = [f * (x + s * radius) / z + c for s in (-1, 1) for z in (nearest, centre[2])]
+        low, high = int(np.floor(min(edges))), int(np.ceil(max(edges))) + 1
+        spans.append((max(low, 0), min(high, size)))
+    (u0, u1), (v0, v1) = spans
+    if u1 - u0 < 8 or v1 - v0 < 8:
+        raise NoAnswer("the wrist pose puts the hand outside the image")
+    return u0, v0, u1, v1
+
+
+def _sample_cloud(
+    smooth: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    inside: NDArray[np.bool_],
+    roi: Camera,
+    centre: NDArray[np.float64],
+    radius: float,
+    config: ObservationConfig,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
+    """Points, normals and pixels of an even subset of the region of interest."""
+    typical = float(np.median(smooth[inside]))
+    step = max(1, round(config.point_spacing * roi.fx / typical))
+    grid = np.zeros_like(inside)
+    grid[step // 2 :: step, step // 2 :: step] = True
+    known = np.abs(normals).sum(axis=2) > 0
+    v, u = np.nonzero(grid & inside & known)
+    z = smooth[v, u]
+    points = np.stack([(u - roi.cx) / roi.fx * z, (v - roi.cy) / roi.fy * z, z], 1)
+    near = np.linalg.norm(points - centre, axis=1) < radius
+    if near.sum() < config.min_points:
+        raise NoAnswer("almost no depth readings lie in the region of the hand")
+    return (
+        points[near].astype(np.float32),
+        normals[v, u][near].astype(np.float32),
+        np.stack([u, v], 1)[near].astype(np.int32),
+    )

@@ -1,0 +1,53 @@
+"""Correction of the wrist pose (paper, section IV-A)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inhand.config import WristConfig
+from inhand.packed import PackedHand
+from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
+from inhand.stages.observation import Observation
+
+
+@dataclass(frozen=True)
+class Wrist:
+    """The corrected wrist."""
+
+    T_camera_hand: NDArray[np.float64]
+    """Pose of the hand's root link in the camera, shape (4, 4)."""
+
+
+def fit_wrist(observation: Observation, hand: PackedHand, config: WristConfig) -> Wrist:
+    """Fit the palm to the scene cloud.
+
+    The default differs from the paper's ICP in that the given pose is a prior: on a flat palm the
+    image leaves directions open in which ICP slides away.
+    """
+    if config.method == "icp":
+        from inhand.stages.wrist_icp import fit_wrist_icp
+
+        return fit_wrist_icp(observation, hand, config)
+    used = np.zeros(len(hand.hand.links), dtype=bool)
+    used[list(hand.hand.palm_links)] = True
+    fit = ArticulatedFit(
+        observation,
+        hand,
+        used,
+        free=np.zeros(len(hand.hand.joint_names), dtype=bool),
+        prior=wrist_prior(observation, config),
+        point_information=config.point_information,
+        joint_damping=1.0,
+    )
+    q = np.clip(np.zeros(len(hand.hand.joint_names)), hand.hand.lower, hand.hand.upper)
+    widths = np.geomspace(config.max_distance, config.last_width, config.iterations)
+    _, T = fit.refine(q[None], observation.T_camera_hand[None], widths)
+    return Wrist(T[0])
+
+
+def wrist_prior(observation: Observation, config: WristConfig) -> WristPrior:
+    """The given wrist pose with its uncertainty."""
+    return WristPrior(
+        observation.T_camera_hand, config.prior_sd_rotation, config.prior_sd_translation
+    )

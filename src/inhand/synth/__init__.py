@@ -1,0 +1,1 @@
+"""Scenes with known answers: a hand that holds an object, seen by a simulated depth camera."""

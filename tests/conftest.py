@@ -1,0 +1,16 @@
+"""Fixtures shared by all tests."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The development data (hands, objects, frames), which live outside the repository."""
+    beside = Path(__file__).parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("INHAND_SHARED", beside))
+    if not folder.is_dir():
+        pytest.skip("the development data are not here; set INHAND_SHARED to their folder")
+    return folder
