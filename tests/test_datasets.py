@@ -123,6 +123,8 @@ def test_finds_frames_in_folders_and_folders_of_folders(tmp_path: Path) -> None:
         find_frames([tmp_path / "dev", tmp_path / "other"])
     with pytest.raises(InputError, match="no folder of frames"):
         find_frames([tmp_path / "absent"])
+    with pytest.raises(InputError, match="at least one folder"):
+        find_frames([])
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no frames"):
         find_frames([tmp_path / "empty"])

@@ -152,7 +152,7 @@ def test_package_paths_go_first(tmp_path: Path) -> None:
 
 def test_missing_package_says_how_to_give_it(tmp_path: Path) -> None:
     path = write(tmp_path, mesh_link("package://my_hand/a.stl"), TIP, BEND)
-    with pytest.raises(InputError, match="palm.*package://my_hand/a.stl") as error:
+    with pytest.raises(InputError, match=r"palm.*package://my_hand/a\.stl") as error:
         read_urdf(path)
     assert str(tmp_path / "my_hand" / "a.stl") in str(error.value)
     assert 'package_paths={"my_hand": folder}' in str(error.value)

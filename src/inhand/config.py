@@ -41,6 +41,8 @@ class WristConfig:
     """Gauss-Newton or ICP iterations."""
     max_distance: float = 0.015
     """Scene points farther from the model than this do not take part [m]."""
+    max_normal_angle: float = 0.7854
+    """`icp`: nor do points whose normal differs by more than this from the model's [rad]."""
     last_width: float = 0.005
     """Width of the redescending weight in the last iteration [m]."""
     point_information: float = 2.0e4
@@ -89,6 +91,10 @@ class HandStateConfig:
     """Particles of the swarm. Paper: 15."""
     generations: int = 3
     """Generations of the swarm. Paper: 3."""
+    swarm_inertia: float = 1.0
+    """Largest weight of a particle's previous velocity."""
+    swarm_pull: float = 2.0
+    """Largest weight of the ways to the particle's own best and to the swarm's best position."""
     lcp_distance: float = 0.005
     """Alg. 1: a finger point nearer than this to the scene counts [m]."""
     lcp_normal_angle: float = 0.7854
@@ -107,8 +113,30 @@ class SegmentationConfig:
     """`threshold`: the paper's; `soft`: points near the hand keep a weight."""
     hand_distance: float = 0.003
     """Points with a smaller signed distance to the hand are the hand's [m]. Paper: 3 mm."""
+    certain_distance: float = 0.006
+    """`soft`: from this distance on a point is certainly not the hand's [m]."""
     min_points: int = 12
     """Fewer object points than this: no answer."""
+
+
+@dataclass(frozen=True)
+class EvidenceConfig:
+    """How object poses are scored against the image."""
+
+    hand_step: int = 2
+    """The hand is rendered at every so-many-th pixel."""
+    tolerance: float = 0.006
+    """Depth agreement of a model point with its pixel [m]."""
+    violation: float = 1.0
+    """Penalty of a model point that the camera looked through, in units of one that agrees."""
+    missing: float = 0.4
+    """Penalty of a model point in the middle of an area without readings."""
+    hidden: float = 0.3
+    """Penalty of a model point behind a reading that the hand does not explain."""
+    near: float = 0.004
+    """A segment point this near to the model's surface is explained [m]."""
+    share_weight: float = 0.7
+    """Weight of the explained share of the segment against the visible share of the model."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +145,20 @@ class HypothesesConfig:
 
     method: Literal["pairs", "congruent_sets"] = "pairs"
     """`congruent_sets`: the paper's Alg. 2 and Super4PCS extraction; `pairs`: oriented pairs."""
+    pairs: int = 1000
+    """`pairs`: scene pairs sampled."""
+    matches: int = 40
+    """`pairs`: model pairs drawn for each."""
+    partner_tries: int = 4
+    """`pairs`: second points tried for each first one."""
+    min_width: float = 0.2
+    """`pairs`: shortest wanted pair, in object diameters."""
+    max_width: float = 0.9
+    """`pairs`: longest wanted pair, in object diameters."""
+    model_points: int = 48
+    """`pairs`: model points in the first scoring."""
+    segment_points: int = 48
+    """`pairs`: segment points in the first scoring."""
     heuristic_decay: float = 300.0
     """lambda of pi(p) ~ 1 - exp(-lambda SDF) [1/m]."""
     sampling_discount: float = 0.5
@@ -131,8 +173,14 @@ class HypothesesConfig:
     """delta of Alg. 2: smallest angle between b1b2 and b1b3 [rad]."""
     congruence: float = 0.004
     """Tolerance of pair lengths and intermediate points in the congruent-set extraction [m]."""
+    congruence_angle: float = 0.35
+    """Tolerance of the angles in the congruent-set extraction [rad]."""
     max_sets_per_base: int = 300
     """Congruent sets aligned per base at most."""
+    lcp_distance: float = 0.003
+    """LCP: a segment point nearer than this to the model counts [m]."""
+    lcp_normal_angle: float = 0.5236
+    """LCP: and whose normal differs by less than this [rad]."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +189,14 @@ class ClusteringConfig:
 
     method: Literal["distinct", "se3"] = "distinct"
     """`se3`: the paper's, Euclidean then geodesic; `distinct`: greedy by score."""
+    shortlist: int = 2000
+    """`distinct`: hypotheses scored again."""
+    model_points: int = 200
+    """`distinct`: model points in that scoring."""
+    segment_points: int = 200
+    """`distinct`: segment points in that scoring."""
+    surface_distance: float = 0.002
+    """`distinct`: poses whose surfaces are farther apart on average are distinct [m]."""
     distance: float = 0.005
     """Poses farther apart than this are distinct [m]."""
     angle: float = 0.2618
@@ -157,14 +213,30 @@ class RefinementConfig:
     """`icp`: the paper's point-to-plane ICP; `field`: Gauss-Newton on the distance field."""
     iterations: int = 12
     """Iterations."""
+    segment_points: int = 300
+    """`field`: segment points used."""
+    model_points: int = 300
+    """`field`: model points used."""
+    image_weight: float = 0.3
+    """`field`: weight of a visible model point against a segment point."""
+    first_width: float = 0.010
+    """`field`: width of the redescending weight in the first iteration [m]."""
+    last_width: float = 0.004
+    """`field`: and in the last [m]."""
     max_distance: float = 0.010
     """Correspondences farther than this are ignored [m]."""
+    max_normal_angle: float = 0.7854
+    """`icp`: so are those whose normals differ by more than this [rad]."""
     merge_distance: float = 0.002
     """Poses nearer than this and `merge_angle` are one afterwards [m]."""
     merge_angle: float = 0.0873
     """Poses nearer than this and `merge_distance` are one afterwards [rad]."""
     keep: int = 100
     """Poses kept with the highest score. Paper: 100."""
+    lcp_distance: float = 0.003
+    """LCP: a segment point nearer than this to the model counts [m]."""
+    lcp_normal_angle: float = 0.5236
+    """LCP: and whose normal differs by less than this [rad]."""
 
 
 @dataclass(frozen=True)
@@ -189,10 +261,26 @@ class SelectionConfig:
     """Share kept by the rendering discrepancy. Paper: 1/3."""
     max_discrepancy: float = 0.03
     """Depth differences are cut off here [m]."""
+    ray_spacing: float = 0.003
+    """Distance between neighbouring rays of the rendering at the hand [m]."""
+    empty_share: float = 0.5
+    """A pixel without a reading is empty space if this share of its neighbours has none either."""
     lcp_distance: float = 0.003
     """LCP: a segment point nearer than this to the model counts [m]."""
     lcp_normal_angle: float = 0.5236
     """LCP: and whose normal differs by less than this [rad]."""
+    model_points: int = 800
+    """`likelihood`: model points used."""
+    segment_points: int = 800
+    """`likelihood`: segment points used."""
+    merge_distance: float = 0.001
+    """Poses whose surfaces are nearer on average are one [m]."""
+    temperature: float = 0.05
+    """Score difference that makes a mode e times less likely."""
+    score_at_half: float = 0.6
+    """Score at which a pose that stands alone is as likely wrong as right."""
+    score_slope: float = 0.1
+    """Score difference around `score_at_half` that changes the odds e-fold."""
     candidates: int = 10
     """Ranked alternatives reported."""
 
@@ -207,6 +295,7 @@ class EstimatorConfig:
     wrist: WristConfig = field(default_factory=WristConfig)
     hand_state: HandStateConfig = field(default_factory=HandStateConfig)
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
     clustering: ClusteringConfig = field(default_factory=ClusteringConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)

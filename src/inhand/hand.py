@@ -107,13 +107,13 @@ class Hand:
                 mesh cannot be read; no movable link has a shape.
         """
         robot = read_urdf(path, package_paths)
-        links = _build_links(robot)
-        chain = build_chain(robot, [link.name for link in links])
+        chain = build_chain(robot, [link.name for link in robot.links if link.shapes])
         if (chain.link_joint < 0).all():
             raise InputError(
                 f"{path}: none of the links that its joints move has a <visual> or <collision> "
                 "shape, so its configuration cannot be seen"
             )
+        links = _build_links(robot)
         if max(link.mesh.diameter for link in links) < LINK_DIAMETERS[0]:
             raise InputError(
                 f"{path}: all links are less than {LINK_DIAMETERS[0]} m across; are its meshes in "
@@ -123,12 +123,6 @@ class Hand:
         names = independent_joints(robot)
         lower = np.array([joints[name].lower for name in names])
         upper = np.array([joints[name].upper for name in names])
-        boxes = np.stack([link.mesh.bounds for link in links])
-        centres = boxes.mean(axis=1)
-        radii = [
-            np.linalg.norm(link.mesh.vertices - centre, axis=1).max()
-            for link, centre in zip(links, centres, strict=True)
-        ]
         frame_names = tuple(link.name for link in robot.links)
         return cls(
             name=robot.name,
@@ -140,7 +134,7 @@ class Hand:
             upper=upper,
             all_joint_names=tuple(joint.name for joint in robot.joints if joint.movable),
             chain=chain,
-            reach=reach_sphere(chain, centres, np.array(radii), lower, upper),
+            reach=reach_sphere(chain, *_bounding_spheres(links), lower, upper),
             _frame_names=frame_names,
             _frames=build_chain(robot, frame_names),
         )
@@ -193,30 +187,34 @@ class Hand:
                 f"{problem} joint {', '.join(unknown or missing)}; the joints of {self.name}: "
                 f"{', '.join(self.joint_names)}"
             )
-        q = self._check_q([joint_positions[name] for name in self.joint_names], dimensions=(1,))
+        given = dict(zip(joint_positions, _finite(list(joint_positions.values())), strict=True))
+        q = np.array([given[name] for name in self.joint_names])
         for name, position in self.joint_dict(q).items():
-            given = joint_positions.get(name, position)
-            if not abs(given - position) <= MIMIC_TOLERANCE:
+            if abs(given.get(name, position) - position) > MIMIC_TOLERANCE:
                 raise InputError(
-                    f"joint {name} is given as {given}, but as a mimic joint it is at "
+                    f"joint {name} is given as {given[name]:.4f}, but as a mimic joint it is at "
                     f"{position:.4f}; leave mimic joints out"
                 )
         return q
 
     def _check_q(self, q: ArrayLike, dimensions: tuple[int, ...]) -> Array:
-        n = len(self.joint_names)
-        try:
-            positions = np.asarray(q, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"joint positions must be numbers: {error}") from error
-        if positions.ndim not in dimensions or positions.shape[-1] != n:
+        positions = _finite(q)
+        if positions.ndim not in dimensions or positions.shape[-1] != len(self.joint_names):
             raise InputError(
-                f"q must have {n} joint positions, got shape {positions.shape}; the joints of "
-                f"{self.name}: {', '.join(self.joint_names)}"
+                f"q must have {len(self.joint_names)} joint positions, got shape "
+                f"{positions.shape}; the joints of {self.name}: {', '.join(self.joint_names)}"
             )
-        if not np.isfinite(positions).all():
-            raise InputError("joint positions hold NaN or infinite numbers")
         return positions
+
+
+def _finite(positions: ArrayLike) -> Array:
+    try:
+        array = np.asarray(positions, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"joint positions must be numbers: {error}") from error
+    if not np.isfinite(array).all():
+        raise InputError("joint positions hold NaN or infinite numbers")
+    return array
 
 
 def _find_fingers(chain: KinematicArrays, robot: Robot) -> tuple[Finger, ...]:
@@ -261,6 +259,16 @@ def _build_links(robot: Robot) -> tuple[Link, ...]:
             raise InputError(f'link "{link.name}": {error}') from error
         links.append(Link(link.name, *built[key]))
     return tuple(links)
+
+
+def _bounding_spheres(links: Sequence[Link]) -> tuple[Array, Array]:
+    """Centres (L, 3) and radii (L,) [m] of spheres around the links, in their frames."""
+    centres = np.stack([link.mesh.bounds.mean(axis=0) for link in links])
+    radii = [
+        np.linalg.norm(link.mesh.vertices - centre, axis=1).max()
+        for link, centre in zip(links, centres, strict=True)
+    ]
+    return centres, np.array(radii)
 
 
 def _content_key(shapes: Sequence[Shape]) -> str:

@@ -18,6 +18,7 @@ from inhand.geometry.se3 import Array, exp_so3
 
 MOVABLE_KINDS = ("revolute", "continuous", "prismatic")
 SHAPE_SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
+UNREADABLE_XML = (ElementTree.ParseError, LookupError, ValueError)  # also unknown encodings
 
 PackagePaths = Mapping[str, str | Path]
 
@@ -134,7 +135,7 @@ def _parse_xml(path: Path) -> ElementTree.Element:
         root = ElementTree.fromstring(path.read_bytes())
     except OSError as error:
         raise InputError(f"cannot read the URDF file {path}: {error.strerror}") from error
-    except ElementTree.ParseError as error:
+    except UNREADABLE_XML as error:
         raise InputError(f"{path} is not a URDF: it is not well-formed XML ({error})") from error
     if root.tag != "robot":
         raise InputError(f"{path} is not a URDF: its root element is <{root.tag}>, not <robot>")
@@ -271,7 +272,7 @@ def _package_name(folder: Path) -> str | None:
     """The name in the folder's package.xml; without one, a package is named as its folder."""
     try:
         return ElementTree.parse(folder / "package.xml").findtext("name", "").strip()
-    except (OSError, ElementTree.ParseError):
+    except (OSError, *UNREADABLE_XML):
         return None
 
 

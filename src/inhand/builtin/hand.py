@@ -207,7 +207,9 @@ def _urdf(parts: dict[str, Part]) -> str:
 
 
 def _link(name: str, part: str) -> str:
-    geometry = f'<geometry><mesh filename="meshes/{part}.stl" scale="0.001 0.001 0.001"/></geometry>'
+    geometry = (
+        f'<geometry><mesh filename="meshes/{part}.stl" scale="0.001 0.001 0.001"/></geometry>'
+    )
     return (
         f'  <link name="{name}">\n'
         f'    <visual>{geometry}<material name="{part}"/></visual>\n'

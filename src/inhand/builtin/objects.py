@@ -116,7 +116,7 @@ OBJECTS: dict[str, Callable[[], TriangleMesh]] = {
 
 
 def _centred(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh, given in millimetres, in metres with the centre of its bounding box at the origin."""
+    """A mesh in millimetres, in metres with the centre of its bounding box at the origin."""
     return TriangleMesh((mesh.vertices - mesh.bounds.mean(axis=0)) * MM, mesh.faces)
 
 

@@ -1,20 +1,29 @@
 """`inhand bench`: how good the estimator is on frames with ground truth."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+from rich import progress
+from rich.console import Console
+
+from inhand.cli.common import Preset, load_kernels, make_config
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from inhand.evaluation.benchmark import Benchmark
+    from inhand.evaluation.contact_sheet import ContactSheet
     from inhand.evaluation.results import FrameResult, Ledger
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
 DEFAULT_HAND = "hands/t42/hand_T42b.urdf"
+"""Looked for beside the frames and above."""
 WORST = 24
+"""Frames on the contact sheet."""
 
 
 @dataclass(frozen=True)
@@ -35,32 +44,29 @@ class Bench:
     hand: Path | None = None
     """URDF of the hand. Default: `hands/t42/hand_T42b.urdf` beside the frames or above."""
     every: int = 1
-    """Take only every so-manieth frame."""
+    """Take only every n-th frame."""
     limit: int | None = None
     """Take at most this many frames, spread evenly."""
-    preset: Literal["default", "paper"] = "default"
-    """Configuration of the estimator: the project's own, or the paper's method."""
+    preset: Preset = "default"
+    """Configuration: the project's own, or the paper's method."""
     device: str | None = None
     """Where the kernels run, such as cpu or cuda:0. Default: the best there is."""
     seed: int = 0
-    """Seed of everything random in the estimator."""
+    """Seed of everything random."""
     restart: bool = False
     """Drop the results of an earlier run in the output folder."""
 
 
-def run(args: Bench) -> None:
-    """Run the benchmark.
+def run(args: Bench) -> int:
+    """Run the benchmark; the exit code says whether Ctrl-C stopped it.
 
     Raises:
         InputError: there are no frames, no hand or no objects, or the output folder holds results
             made with other settings.
     """
-    import json
-
-    from rich.console import Console
-
     from inhand.datasets.frames import find_frames, frame_name
     from inhand.evaluation.benchmark import pick_frames
+    from inhand.evaluation.contact_sheet import worst_frames
     from inhand.evaluation.report import print_summary, summarise
     from inhand.evaluation.results import Ledger
     from inhand.kernels.launch import resolve_device
@@ -71,25 +77,22 @@ def run(args: Bench) -> None:
     settings = _settings(args, device)
     out = args.out or Path("out") / f"bench-{'-'.join(f.resolve().name for f in args.frames)}"
     ledger = Ledger(out / "results.jsonl", settings, restart=args.restart)
-    names = [frame_name(file) for file in files]
 
-    console.print("Loading the hand")
-    benchmark, sheet = _tools(args, settings, device)
-    interrupted = not _run_with_progress(benchmark, files, names, ledger, console)
-    results = [ledger.results[name] for name in names if name in ledger.results]
-    if not results:
-        console.print("Stopped before the first frame was done")
-        return
+    load_kernels(device, console)
+    with console.status("Building the model of the hand (from the cache next time)"):
+        benchmark, sheet = _tools(args, settings, device)
+    finished = _run_with_progress(benchmark, files, ledger, console)
+    results = [ledger.results[name] for name in map(frame_name, files) if name in ledger.results]
     summary = {"settings": settings, **summarise(results)}
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     print_summary(summary, console)
-    _save_sheet(sheet, out / "worst.png", results)
+    if worst := worst_frames(results, WORST):
+        sheet.save(out / "worst.png", worst)
     console.print(f"Wrote {out}/results.jsonl, summary.json and worst.png")
-    if interrupted:
-        console.print(
-            f"[yellow]Stopped at {len(results)} of {len(files)} frames; the same command goes on "
-            "from there[/yellow]"
-        )
+    if not finished:
+        left = f"Stopped at {len(results)} of {len(files)} frames"
+        console.print(f"[yellow]{left}; the same command goes on from there[/yellow]")
+    return 0 if finished else INTERRUPTED
 
 
 def _settings(args: Bench, device: str) -> dict[str, Any]:
@@ -117,12 +120,10 @@ def _settings(args: Bench, device: str) -> dict[str, Any]:
     }
 
 
-def _tools(args: Bench, settings: dict[str, Any], device: str) -> tuple["Benchmark", Any]:
+def _tools(
+    args: Bench, settings: dict[str, Any], device: str
+) -> tuple["Benchmark", "ContactSheet"]:
     """The benchmark and the drawer of the contact sheet."""
-    from dataclasses import replace
-    from functools import cache
-
-    from inhand.config import EstimatorConfig
     from inhand.datasets.frames import find_object_mesh
     from inhand.estimator import PoseEstimator
     from inhand.evaluation.benchmark import Benchmark
@@ -131,8 +132,7 @@ def _tools(args: Bench, settings: dict[str, Any], device: str) -> tuple["Benchma
     from inhand.object_model import ObjectModel
 
     hand = Hand.from_urdf(settings["hand"])
-    config = EstimatorConfig.paper() if args.preset == "paper" else EstimatorConfig()
-    config = replace(config, seed=args.seed)
+    config = make_config(args.preset, args.seed)
 
     @cache
     def load_object(name: str) -> ObjectModel:
@@ -148,12 +148,11 @@ def _tools(args: Bench, settings: dict[str, Any], device: str) -> tuple["Benchma
 def _run_with_progress(
     benchmark: "Benchmark",
     files: Sequence[Path],
-    names: Sequence[str],
     ledger: "Ledger",
-    console: "Console",
+    console: Console,
 ) -> bool:
     """Run what is left to do under a progress bar; False when Ctrl-C stopped it."""
-    from rich import progress
+    from inhand.datasets.frames import frame_name
 
     columns = (
         progress.BarColumn(),
@@ -161,6 +160,7 @@ def _run_with_progress(
         progress.TimeRemainingColumn(),
         progress.TextColumn("{task.description}"),
     )
+    names = map(frame_name, files)
     done = [ledger.results[name] for name in names if name in ledger.results]
     with progress.Progress(*columns, console=console) as bar:
         task = bar.add_task(_running_recall(done), total=len(files), completed=len(done))
@@ -183,11 +183,3 @@ def _running_recall(results: Sequence["FrameResult"]) -> str:
         return "warming up"
     solved = sum(r.adi is not None and r.adi < SOLVED for r in scored)
     return f"ADI < 5 mm: {solved / len(scored):.0%}"
-
-
-def _save_sheet(sheet: Any, path: Path, results: Sequence["FrameResult"]) -> None:
-    from inhand.evaluation.contact_sheet import worst_frames
-
-    worst = worst_frames(results, WORST)
-    if worst:
-        sheet.save(path, worst)

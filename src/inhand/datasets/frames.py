@@ -89,6 +89,8 @@ def find_frames(folders: Sequence[str | Path]) -> list[Path]:
                 f"{folder} holds no frames: expected .npz files in it, or folders of .npz files"
             )
         found += [file for file in files if file not in found]
+    if not found:
+        raise InputError("name at least one folder of frames")
     name, count = Counter(map(frame_name, found)).most_common(1)[0]
     if count > 1:
         raise InputError(f"{count} frames are called {name}: their folders need different names")

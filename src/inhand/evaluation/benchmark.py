@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from inhand.datasets.frames import LABEL_HAND, Frame, frame_name, read_frame
 from inhand.errors import InputError
+from inhand.estimate import PoseEstimate
+from inhand.estimator import PoseEstimator, StageResults
 from inhand.evaluation.diagnosis import (
     best_adi_by_stage,
     segment_quality,
@@ -35,7 +36,7 @@ class Benchmark:
     Args:
         hand: the hand in the frames.
         load_object: gives the model of the object of a name.
-        make_estimator: gives an estimator, like `PoseEstimator`, for an object.
+        make_estimator: gives the estimator of an object.
         device: Warp device of the scoring.
     """
 
@@ -43,14 +44,14 @@ class Benchmark:
         self,
         hand: Hand,
         load_object: Callable[[str], ObjectModel],
-        make_estimator: Callable[[ObjectModel], Any],
+        make_estimator: Callable[[ObjectModel], PoseEstimator],
         device: str = "cpu",
     ) -> None:
         self._hand = hand
         self._load_object = load_object
         self._make_estimator = make_estimator
         self._renderer = DepthRenderer([link.mesh for link in hand.links], device)
-        self._objects: dict[str, tuple[ObjectMetric, Any]] = {}
+        self._objects: dict[str, tuple[ObjectMetric, PoseEstimator]] = {}
 
     def run(self, files: Sequence[Path], ledger: Ledger) -> Iterator[FrameResult]:
         """Results of the frames that `ledger` lacks, each written to it before it is handed on.
@@ -89,46 +90,39 @@ class Benchmark:
         estimate, stages = estimator.run(frame.depth, frame.camera, frame.T_camera_hand_given)
         seconds = time.perf_counter() - started
 
-        truth = frame.truth.T_camera_object
-        answer = estimate.T_camera_object if estimate.found else None
-        pose = metric.pose_error(answer, truth) if answer is not None else None
-        adi = metric.adi(answer, truth) if answer is not None else None
-        best = best_adi_by_stage(stages, metric, frame)
         segment = segment_quality(stages, frame)
-        wrists = self._wrist_errors(estimate, stages, frame)
+        wrists = _wrist_errors(estimate, stages, frame)
         result = FrameResult(
             frame=frame.name,
             file=str(file),
-            outcome="answer" if answer is not None else "no answer",
-            reason=estimate.reason or "",
+            outcome="no answer",
+            reason=estimate.reason,
             object_name=frame.object_name,
             visible_share=frame.truth.visible_share,
-            T_camera_object=_listed(answer),
             T_camera_hand=_listed(estimate.T_camera_hand),
-            joint_positions={k: float(v) for k, v in (estimate.joint_positions or {}).items()},
-            confidence=float(estimate.confidence) if answer is not None else 0.0,
-            adi=adi,
-            add=metric.add(answer, truth) if answer is not None else None,
-            translation_error=pose.translation if pose else None,
-            rotation_error=pose.rotation if pose else None,
-            candidates_adi=[
-                metric.adi(c.T_camera_object, truth) for c in estimate.candidates[:TOP_CANDIDATES]
-            ],
-            best_adi=best,
+            joint_positions={name: float(q) for name, q in estimate.joint_positions.items()},
+            best_adi=best_adi_by_stage(stages, metric, frame),
             segment=list(segment) if segment else None,
             wrist_errors={stage: list(error) for stage, error in wrists.items()},
-            joint_errors=self._joint_errors(estimate.joint_positions or {}, frame),
+            joint_errors=self._joint_errors(estimate.joint_positions, frame),
             joint_pixels=self._joint_pixels(true_joints, frame),
             timings={stage: float(s) for stage, s in estimate.timings.items()},
             seconds=seconds,
             peak_memory=peak_memory(),
         )
-        after_hand = wrists.get("hand_state", wrists.get("wrist"))
-        fingers = result.visible_joint_errors
-        lost_at = stage_to_blame(adi, best, stages_reached(stages), segment, after_hand, fingers)
+        if estimate.T_camera_object is not None:
+            result = _with_answer(result, estimate, metric, frame.truth.T_camera_object)
+        lost_at = stage_to_blame(
+            result.adi,
+            result.best_adi,
+            stages_reached(stages),
+            segment,
+            wrists.get("hand_state", wrists.get("wrist")),
+            result.visible_joint_errors,
+        )
         return replace(result, lost_at=lost_at)
 
-    def _models(self, frame: Frame) -> tuple[ObjectMetric, Any]:
+    def _models(self, frame: Frame) -> tuple[ObjectMetric, PoseEstimator]:
         """Metric and estimator of the frame's object; a new estimator runs once to warm up."""
         if frame.object_name not in self._objects:
             model = self._load_object(frame.object_name)
@@ -136,16 +130,6 @@ class Benchmark:
             estimator.run(frame.depth, frame.camera, frame.T_camera_hand_given)
             self._objects[frame.object_name] = ObjectMetric(model), estimator
         return self._objects[frame.object_name]
-
-    def _wrist_errors(self, estimate: Any, stages: Any, frame: Frame) -> dict[str, PoseError]:
-        poses = {
-            "given": frame.T_camera_hand_given,
-            "wrist": stages.wrist and stages.wrist.T_camera_hand,
-            "hand_state": stages.hand_state and stages.hand_state.T_camera_hand,
-            "answer": estimate.T_camera_hand,
-        }
-        truth = frame.truth.T_camera_hand
-        return {k: wrist_error(T, truth) for k, T in poses.items() if T is not None}
 
     def _joint_errors(self, angles: Mapping[str, float], frame: Frame) -> dict[str, float]:
         chain = self._hand.chain
@@ -169,8 +153,42 @@ class Benchmark:
         return {n: int(pixels[source == j].sum()) for j, n in enumerate(self._hand.joint_names)}
 
 
+def _with_answer(
+    result: FrameResult, estimate: PoseEstimate, metric: ObjectMetric, truth: NDArray[np.float64]
+) -> FrameResult:
+    """The result with what the estimator answered and how far that is from the truth."""
+    T = estimate.T_camera_object
+    assert T is not None
+    pose = metric.pose_error(T, truth)
+    best = estimate.candidates[:TOP_CANDIDATES]
+    return replace(
+        result,
+        outcome="answer",
+        T_camera_object=_listed(T),
+        confidence=float(estimate.confidence),
+        adi=metric.adi(T, truth),
+        add=metric.add(T, truth),
+        translation_error=pose.translation,
+        rotation_error=pose.rotation,
+        candidates_adi=[metric.adi(c.T_camera_object, truth) for c in best],
+    )
+
+
+def _wrist_errors(
+    estimate: PoseEstimate, stages: StageResults, frame: Frame
+) -> dict[str, PoseError]:
+    poses = {
+        "given": frame.T_camera_hand_given,
+        "wrist": stages.wrist.T_camera_hand if stages.wrist else None,
+        "hand_state": stages.hand_state.T_camera_hand if stages.hand_state else None,
+        "answer": estimate.T_camera_hand,
+    }
+    truth = frame.truth.T_camera_hand
+    return {stage: wrist_error(T, truth) for stage, T in poses.items() if T is not None}
+
+
 def pick_frames(files: Sequence[Path], *, every: int = 1, limit: int | None = None) -> list[Path]:
-    """Every so-manieth frame, and at most `limit` of these, spread evenly over them.
+    """Every `every`-th frame, and at most `limit` of these, spread evenly over them.
 
     Raises:
         InputError: a number is not positive.

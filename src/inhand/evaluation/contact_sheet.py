@@ -9,34 +9,30 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from inhand.camera import Camera
-from inhand.datasets.frames import LABEL_HAND, LABEL_OBJECT, Frame, read_frame
+from inhand.datasets.frames import LABEL_HAND, LABEL_OBJECT, read_frame
 from inhand.evaluation.results import FrameResult
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
+from inhand.picture import HAND_COLOUR, NO_READING, Window, grey_depth, outline
 
 TILE = 320
 """Edge of a frame's picture [pixel]."""
 COLUMNS = 6
 """Pictures in a row."""
 
-TRUE_OBJECT = (70, 255, 70)
-ESTIMATED_OBJECT = (255, 60, 60)
-ESTIMATED_HAND = (90, 170, 255)
-NO_READING = (24, 24, 48)
+TRUE_COLOUR = (70, 255, 70)
+"""Contour of the object at its true pose."""
+ESTIMATE_COLOUR = (255, 60, 60)
+"""Contour of the object at its estimated pose."""
 
-_MARGIN = 0.15
 _LINE = 15
-
-Pixels = NDArray[np.uint8]
 
 
 def worst_frames(results: Iterable[FrameResult], count: int) -> list[FrameResult]:
     """The frames with the largest ADI, those without an answer first; failures left out."""
     scored = [r for r in results if r.outcome in ("answer", "no answer")]
-    return sorted(scored, key=lambda r: (-(math.inf if r.adi is None else r.adi), r.frame))[
-        :count
-    ]
+    return sorted(scored, key=lambda r: (-(math.inf if r.adi is None else r.adi), r.frame))[:count]
 
 
 class ContactSheet:
@@ -68,74 +64,35 @@ class ContactSheet:
 
     def tile(self, result: FrameResult) -> Image.Image:
         """The picture of one frame: its part of the depth image, contours, and a caption."""
-        frame = read_frame(Path(result.file))
-        camera, pixels = _view(frame)
-        self._outline_object(pixels, frame, camera, frame.truth.T_camera_object, TRUE_OBJECT)
+        frame = read_frame(result.file)
+        shown = np.isin(frame.truth.label, (LABEL_HAND, LABEL_OBJECT))
+        window = Window.around(shown)
+        camera = window.camera(frame.camera, TILE)
+        pixels = window.cut(grey_depth(frame.depth, frame.depth[shown]), NO_READING, TILE)
+
+        is_object = self._object_renderer(frame.object_name)
+        pixels[_contour(is_object, camera, frame.truth.T_camera_object[None])] = TRUE_COLOUR
         if result.T_camera_hand is not None and result.joint_positions:
-            q = [result.joint_positions[name] for name in self._hand.joint_names]
-            poses = np.array(result.T_camera_hand) @ self._hand.forward_kinematics(q)
-            pixels[_outline(self._hand_renderer, camera, poses)] = ESTIMATED_HAND
+            q = self._hand.joint_vector(result.joint_positions)
+            T_camera_link = np.array(result.T_camera_hand) @ self._hand.forward_kinematics(q)
+            pixels[_contour(self._hand_renderer, camera, T_camera_link)] = HAND_COLOUR
         if result.T_camera_object is not None:
-            pose = np.array(result.T_camera_object)
-            self._outline_object(pixels, frame, camera, pose, ESTIMATED_OBJECT)
+            T_camera_object = np.array(result.T_camera_object)[None]
+            pixels[_contour(is_object, camera, T_camera_object)] = ESTIMATE_COLOUR
         return _captioned(pixels, _caption(result))
 
-    def _outline_object(
-        self,
-        pixels: Pixels,
-        frame: Frame,
-        camera: Camera,
-        pose: NDArray[np.float64],
-        colour: tuple[int, int, int],
-    ) -> None:
-        name = frame.object_name
+    def _object_renderer(self, name: str) -> DepthRenderer:
         if name not in self._object_renderers:
             mesh = self._load_object(name).mesh
             self._object_renderers[name] = DepthRenderer([mesh], self._device)
-        pixels[_outline(self._object_renderers[name], camera, pose[None])] = colour
+        return self._object_renderers[name]
 
 
-def _outline(
+def _contour(
     renderer: DepthRenderer, camera: Camera, poses: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Pixels of the silhouette that touch a pixel outside it."""
-    shape = renderer.render(camera, poses)[1] >= 0
-    padded = np.pad(shape, 1)
-    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    return np.asarray(shape & ~inner)
-
-
-def _view(frame: Frame) -> tuple[Camera, Pixels]:
-    """The square around hand and object, enlarged: its camera and the grey depth image."""
-    shown = np.isin(frame.truth.label, (LABEL_HAND, LABEL_OBJECT))
-    v, u = np.nonzero(shown) if shown.any() else np.nonzero(np.ones_like(shown))
-    side = (1 + 2 * _MARGIN) * float(np.max([np.ptp(u), np.ptp(v), 10]))
-    u0, v0 = (u.min() + u.max() - side) / 2, (v.min() + v.max() - side) / 2
-    scale = TILE / side
-    c = frame.camera
-    camera = Camera(
-        c.fx * scale,
-        c.fy * scale,
-        (c.cx - u0 + 0.5) * scale - 0.5,
-        (c.cy - v0 + 0.5) * scale - 0.5,
-        TILE,
-        TILE,
-    )
-    at = (np.arange(TILE) + 0.5) / scale - 0.5
-    columns, rows = np.rint(at + u0).astype(int), np.rint(at + v0).astype(int)
-    inside = ((rows >= 0) & (rows < c.height))[:, None] & (columns >= 0) & (columns < c.width)
-    window = frame.depth[np.ix_(rows.clip(0, c.height - 1), columns.clip(0, c.width - 1))]
-    return camera, _grey(np.where(inside, window, 0), frame.depth[shown])
-
-
-def _grey(depth: NDArray[np.float32], scene: NDArray[np.float32]) -> Pixels:
-    """Near bright, far dark, over the depth range of hand and object, shape (h, w, 3)."""
-    readings = scene[scene > 0]
-    near, far = np.percentile(readings, (1, 99)) if len(readings) else (0.0, 1.0)
-    level = 210 - 150 * np.clip((depth - near) / max(far - near, 1e-3), 0, 1.2)
-    pixels = np.repeat(level[..., None], 3, axis=2).astype(np.uint8)
-    pixels[depth <= 0] = NO_READING
-    return pixels
+    """Pixels on the edge of the meshes' common silhouette."""
+    return outline(renderer.render(camera, poses)[1] >= 0)
 
 
 def _caption(result: FrameResult) -> list[str]:
@@ -145,7 +102,7 @@ def _caption(result: FrameResult) -> list[str]:
     return [f"{result.frame}  {share}", error + blame]
 
 
-def _captioned(pixels: Pixels, lines: Sequence[str]) -> Image.Image:
+def _captioned(pixels: NDArray[np.uint8], lines: Sequence[str]) -> Image.Image:
     tile = Image.new("RGB", (TILE, TILE + 2 * _LINE))
     tile.paste(Image.fromarray(pixels), (0, 0))
     draw = ImageDraw.Draw(tile)

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from inhand.datasets.frames import LABEL_OBJECT, Frame
+from inhand.estimator import StageResults
 from inhand.evaluation.metrics import ObjectMetric, PoseError
 
 SOLVED = 0.005
@@ -48,7 +49,9 @@ class SegmentQuality(NamedTuple):
     """Share of the scene cloud's object points that the segment kept, by weight."""
 
 
-def best_adi_by_stage(results: Any, metric: ObjectMetric, frame: Frame) -> dict[str, float | None]:
+def best_adi_by_stage(
+    results: StageResults, metric: ObjectMetric, frame: Frame
+) -> dict[str, float | None]:
     """The smallest ADI [m] among the poses each stage handed on, by stage.
 
     None for a stage that handed on nothing; no entry for one that was not reached.
@@ -66,7 +69,7 @@ def best_adi_by_stage(results: Any, metric: ObjectMetric, frame: Frame) -> dict[
     return best
 
 
-def segment_quality(results: Any, frame: Frame) -> SegmentQuality | None:
+def segment_quality(results: StageResults, frame: Frame) -> SegmentQuality | None:
     """Precision and recall of the object segment against the frame's label.
 
     None when there is no segment, or no object point in the scene cloud to be found.
@@ -136,7 +139,7 @@ def is_good(stage: str, adi: float | None) -> bool:
     return adi is not None and adi < limit
 
 
-def stages_reached(results: Any) -> set[str]:
+def stages_reached(results: StageResults) -> set[str]:
     """The stages that ended, by the estimator's stage results."""
     fields = {**_EARLY_STAGES, **POSE_STAGES}
     return {stage for stage, field in fields.items() if getattr(results, field) is not None}

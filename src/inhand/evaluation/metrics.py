@@ -10,8 +10,9 @@ from scipy.spatial import KDTree
 
 from inhand.errors import InputError
 from inhand.geometry.mesh import TriangleMesh, points_on_faces
-from inhand.geometry.se3 import inverse, rotation_angle, transform
+from inhand.geometry.se3 import inverse, rotation_angle, skew, transform
 from inhand.object_model import ObjectModel
+from inhand.object_symmetry import rotations_about
 
 MODEL_POINTS = 5000
 """Points of the object model that ADI and ADD are averaged over."""
@@ -131,30 +132,29 @@ class ObjectMetric:
         symmetry = self.model.symmetry
         alike = T_truth @ symmetry.rotations
         if symmetry.axis is not None:
-            alike = alike @ _spin_towards(
-                inverse(alike) @ T_estimate, np.asarray(symmetry.axis), np.asarray(symmetry.centre)
-            )
-        angles = rotation_angle(alike[:, :3, :3], T_estimate[None, :3, :3])
-        return np.asarray(alike[np.argmin(angles)])
+            angles = _nearest_spin((inverse(alike) @ T_estimate)[:, :3, :3], symmetry.axis)
+            alike = alike @ rotations_about(symmetry.centre, symmetry.axis, angles)
+        if symmetry.axis is not None and len(symmetry.rotations) > 2:  # a sphere
+            alike = _turned_to(T_estimate, T_truth, symmetry.centre)[None]
+        differences = rotation_angle(alike[:, :3, :3], T_estimate[None, :3, :3])
+        return np.asarray(alike[np.argmin(differences)])
 
 
-def _spin_towards(T: Array, axis: Array, centre: Array) -> Array:
-    """The rotations about an axis through `centre` nearest to T's rotations, (k, 4, 4).
+def _nearest_spin(R: Array, axis: Array) -> Array:
+    """Angles [rad] of the rotations about `axis` that are nearest to R, shape (k, 3, 3).
 
-    R(a) = cos a I + sin a K + (1 - cos a) axis axis' maximises trace(R(a)' T) at
-    a = atan2(<K, T>, trace T - axis' T axis).
+    S(a) = cos a I + sin a K + (1 - cos a) axis axis' maximises trace(S(a)' R) at
+    a = atan2(<K, R>, trace R - axis' R axis).
     """
-    R = T[:, :3, :3]
-    K = np.array(
-        [[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]], dtype=np.float64
-    )
     along = np.einsum("i,kij,j->k", axis, R, axis)
-    angle = np.arctan2(np.einsum("ij,kij->k", K, R), np.trace(R, axis1=1, axis2=2) - along)
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    out = np.tile(np.eye(4), (len(T), 1, 1))
-    out[:, :3, :3] = cosine * np.eye(3) + sine * K + (1 - cosine) * np.outer(axis, axis)
-    out[:, :3, 3] = centre - out[:, :3, :3] @ centre
-    return out
+    return np.arctan2(np.einsum("ij,kij->k", skew(axis), R), np.trace(R, axis1=1, axis2=2) - along)
+
+
+def _turned_to(T_estimate: Array, T_truth: Array, centre: Array) -> Array:
+    """The truth, turned about the object's centre to the estimate's rotation."""
+    turned = np.array(T_estimate)
+    turned[:3, 3] += transform(T_truth, centre[None])[0] - transform(T_estimate, centre[None])[0]
+    return turned
 
 
 def wrist_error(T_estimate: Array, T_truth: Array) -> PoseError:

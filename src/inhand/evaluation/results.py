@@ -11,6 +11,7 @@ from inhand.errors import InputError
 
 JOINT_PIXELS = 500
 """A joint's angle counts when its link shows more pixels than this."""
+
 Outcome = Literal["answer", "no answer", "error", "unreadable"]
 
 
@@ -90,18 +91,22 @@ class Ledger:
         restart: drop what an earlier run left.
 
     Raises:
-        InputError: the file holds results made with other settings, or something else.
+        InputError: the file holds results made with other settings, or something else, or
+            cannot be written.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, Any], *, restart: bool = False) -> None:
         self.path = path
         self.results: dict[str, FrameResult] = {}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lines = [] if restart or not path.exists() else self._complete_lines()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lines = [] if restart or not path.exists() else self._complete_lines()
+            if not lines:
+                path.write_text(json.dumps({"settings": settings}) + "\n")
+        except OSError as error:
+            raise InputError(f"cannot write the results to {path}: {error.strerror}") from error
         if lines:
             self._load(lines, settings)
-        else:
-            path.write_text(json.dumps({"settings": settings}) + "\n")
 
     def append(self, result: FrameResult) -> None:
         """Write one result."""

@@ -1,16 +1,16 @@
-"""Grouping of poses around leaders: poses taken by falling score, each joining the first leader
-that is near enough or becoming one.
+"""Grouping of poses around leaders: poses are taken in the order given, and each joins the first
+leader that is near enough or becomes one.
 
-Unlike single linkage, groups cannot grow along chains of neighbours, and every leader is the best
-of its group. The decisions depend on one another, so a group is one work item, and the work stays
-on the CPU.
+Unlike with single linkage, groups cannot grow along chains of neighbours. The decisions depend on
+one another, so a whole group is one work item, and the work stays on the CPU.
 """
+
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from inhand.geometry.symmetry import Symmetry
 from inhand.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -18,29 +18,107 @@ wp.set_module_options({"enable_backward": False})
 DEVICE = "cpu"
 
 
+@wp.func
+def symmetric_angle(a: wp.mat33, b: wp.mat33, symmetries: wp.array(dtype=wp.mat33), axis: wp.vec3):
+    """Smallest rotation [rad] between orientations a and b of an object with symmetries.
+
+    Args (beyond the obvious):
+        symmetries: rotations that map the object to itself, about its own axes.
+        axis: unit axis of continuous symmetry, 0 without one.
+    """
+    difference = wp.transpose(a) * b
+    best = float(-1.0)
+    for k in range(symmetries.shape[0]):
+        if wp.dot(axis, axis) > 0.0:
+            # The rotation about the axis is free, so what counts is how far the axis tilts.
+            tilt = wp.dot(wp.transpose(symmetries[k]) * axis, difference * axis)
+            best = wp.max(best, tilt)
+        else:
+            best = wp.max(best, 0.5 * (wp.trace(difference * symmetries[k]) - 1.0))
+    return wp.acos(wp.min(best, 1.0))
+
+
 @wp.kernel
-def lead_by_distance(
+def follow_leaders(
+    group_start: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3),
-    reach: float,
+    rotations: wp.array(dtype=wp.mat33),
+    symmetries: wp.array(dtype=wp.mat33),
+    axis: wp.vec3,
+    distance: float,
+    angle: float,
     leaders: wp.array(dtype=int),
     leader: wp.array(dtype=int),
     first: int,
 ):
-    """One work item in all: leader of every point, in the order of the points.
+    """One work item a group: the leader of every pose of the group.
 
     Args (beyond the obvious):
-        reach: a leader's group reaches this far [m].
+        group_start: first pose of every group and, last, the number of poses.
+        distance: poses nearer than this [m] and `angle` follow.
+        angle: [rad]; pi or more: rotations are not compared.
         leaders: scratch.
-        leader: out, index of the leading point.
+        leader: out, index of the leading pose.
     """
-    count = int(first)
-    for i in range(points.shape[0]):
-        leader[i] = -1
+    group = first + wp.tid()
+    start = group_start[group]
+    count = int(0)
+    for i in range(start, group_start[group + 1]):
+        leader[i] = i
         for k in range(count):
-            if wp.length(points[i] - points[leaders[k]]) < reach:
-                leader[i] = leaders[k]
-                break
-        if leader[i] < 0:
-            leader[i] = i
-            leaders[count] = i
+            other = leaders[start + k]
+            if wp.length(points[i] - points[other]) >= distance:
+                continue
+            turn = float(0.0)
+            if angle < wp.PI:
+                turn = symmetric_angle(rotations[other], rotations[i], symmetries, axis)
+            if turn >= angle:
+                continue
+            leader[i] = other
+            break
+        if leader[i] == i:
+            leaders[start + count] = i
             count += 1
+
+
+def pose_leaders(
+    group_start: NDArray[Any],
+    points: NDArray[Any],
+    rotations: NDArray[Any],
+    symmetries: NDArray[Any],
+    axis: NDArray[Any] | None,
+    distance: float,
+    angle: float,
+) -> NDArray[np.int32]:
+    """Index of the leader of every pose, shape (m,); a pose that leads has its own.
+
+    Args:
+        group_start: first pose of every group; poses of different groups never join.
+        points: positions [m], shape (m, 3).
+        rotations: orientations, shape (m, 3, 3).
+        symmetries: rotations about the object's own axes that map it to itself, shape (k, 3, 3).
+        axis: unit axis of continuous symmetry, object frame, shape (3,), or None.
+        distance: poses nearer than this follow a leader [m].
+        angle: if their rotations differ by less than this [rad]; not compared from pi on.
+    """
+
+    def on_device(a: NDArray[Any], dtype: Any) -> Any:
+        return wp.array(np.asarray(a, dtype=np.float32), dtype=dtype, device=DEVICE)
+
+    edges = wp.array([*group_start, len(points)], dtype=int, device=DEVICE)
+    leaders = wp.empty(len(points), dtype=int, device=DEVICE)
+    leader = wp.empty(len(points), dtype=int, device=DEVICE)
+    inputs = [
+        edges,
+        on_device(points, wp.vec3),
+        on_device(rotations, wp.mat33),
+        on_device(symmetries, wp.mat33),
+        wp.vec3(*(np.zeros(3) if axis is None else axis)),
+        distance,
+        angle,
+        leaders,
+        leader,
+    ]
+    per_group = 100 * (1 + len(points) // max(len(group_start), 1))
+    launch(follow_leaders, len(group_start), inputs, DEVICE, work_per_item=per_group)
+    return np.asarray(leader.numpy())

@@ -8,28 +8,9 @@ and which enclose this angle, are a congruent set (Mellado et al., "Super 4PCS",
 
 import warp as wp
 
+from inhand.kernels.pair_matching import PairTable, angle_between
+
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.struct
-class PairIndex:
-    """Point pairs of the model, grouped by the cell of their discretised feature."""
-
-    points: wp.array(dtype=wp.vec3)
-    normals: wp.array(dtype=wp.vec3)
-    cell_start: wp.array(dtype=int)
-    pair_first: wp.array(dtype=int)
-    pair_second: wp.array(dtype=int)
-    distance_step: float
-    """[m]"""
-    n_distance: int
-    n_angle: int
-
-
-@wp.func
-def angle_between(a: wp.vec3, b: wp.vec3):
-    """Angle between two unit vectors [rad]."""
-    return wp.acos(wp.clamp(wp.dot(a, b), -1.0, 1.0))
 
 
 @wp.func
@@ -42,13 +23,13 @@ def pair_feature(p: wp.vec3, n_p: wp.vec3, q: wp.vec3, n_q: wp.vec3):
 
 
 @wp.func
-def angle_bin(model: PairIndex, angle: float):
+def angle_bin(model: PairTable, angle: float):
     """Bin of an angle [rad]."""
     return wp.clamp(int(angle / wp.PI * float(model.n_angle)), 0, model.n_angle - 1)
 
 
 @wp.func
-def known_to_model(model: PairIndex, feature: wp.vec4):
+def known_to_model(model: PairTable, feature: wp.vec4):
     """Whether some pair of the model has this discretised feature: PPF_M[f] is not empty."""
     d = int(feature[0] / model.distance_step)
     if d >= model.n_distance:
@@ -113,7 +94,7 @@ def sample_bases(
     points: wp.array(dtype=wp.vec3),
     normals: wp.array(dtype=wp.vec3),
     prior: wp.array(dtype=float),
-    model: PairIndex,
+    model: PairTable,
     rule: BaseRule,
     seed: int,
     pi: wp.array2d(dtype=float),
@@ -162,6 +143,8 @@ def sample_bases(
             b2 = j
             b3 = k
             plane = wp.normalize(wp.cross(u, v))
+            pi[i, j] = 0.0
+            pi[i, k] = 0.0
             break
     if b2 < 0:
         return
@@ -172,7 +155,7 @@ def sample_bases(
             return
         pi[i, b4] = rule.discount * pi[i, b4]
         p4 = points[b4]
-        if b4 == b2 or b4 == b3 or wp.abs(wp.dot(plane, p4 - p1)) > rule.coplanarity:
+        if wp.abs(wp.dot(plane, p4 - p1)) > rule.coplanarity:
             continue
         f24 = pair_feature(points[b2], normals[b2], p4, normals[b4])
         f34 = pair_feature(points[b3], normals[b3], p4, normals[b4])
@@ -213,7 +196,7 @@ def find_pairs(
     normals: wp.array(dtype=wp.vec3),
     bases: wp.array(dtype=wp.vec4i),
     ratios: wp.array(dtype=wp.vec2),
-    model: PairIndex,
+    model: PairTable,
     tolerance: float,
     angle_tolerance: float,
     spread: float,
@@ -296,7 +279,7 @@ def match_pairs(
     normals: wp.array(dtype=wp.vec3),
     bases: wp.array(dtype=wp.vec4i),
     owner: wp.array(dtype=int),
-    model: PairIndex,
+    model: PairTable,
     pair: wp.array(dtype=int),
     middle: wp.array(dtype=wp.vec3),
     second_start: int,

@@ -51,6 +51,13 @@ def pixel_of(camera: Pinhole, p: wp.vec3):
 
 
 @wp.func
+def coarse_pixel(width: int, step: int, pixel: int):
+    """Index in an image of every `step`-th pixel, for a pixel of an image of `width`."""
+    coarse_width = (width + step - 1) // step
+    return (pixel // width) // step * coarse_width + (pixel % width) // step
+
+
+@wp.func
 def judge_point(view: DepthView, rule: Visibility, p: wp.vec3, n: wp.vec3, pixel: int):
     """Score of one camera-facing surface point, between -violation and 1."""
     d = view.depth[pixel]
@@ -76,6 +83,7 @@ def score_configurations(
     link: wp.array(dtype=int),
     samples: wp.array(dtype=int),
     fixed_depth: wp.array(dtype=float),
+    fixed_step: int,
     score: wp.array(dtype=float),
     first: int,
 ):
@@ -84,7 +92,8 @@ def score_configurations(
     Args (beyond the obvious):
         T_camera_link: link poses of all configurations, flat (c * n_links).
         samples: indices of the surface samples that take part.
-        fixed_depth: rendered depth [m] of the parts that do not move; what they hide is left out.
+        fixed_depth: rendered depth [m] of the parts that do not move, at every `fixed_step`-th
+            pixel; what they hide is left out.
         score: out, mean judgement weighted by the projected area.
     """
     c = first + wp.tid()
@@ -102,7 +111,7 @@ def score_configurations(
         pixel = pixel_of(view.camera, p)
         if pixel < 0:
             continue
-        hidden_by = fixed_depth[pixel]
+        hidden_by = fixed_depth[coarse_pixel(view.camera.width, fixed_step, pixel)]
         if hidden_by > 0.0 and hidden_by < p[2] - rule.tolerance:
             continue
         total += facing * judge_point(view, rule, p, n, pixel)

@@ -18,6 +18,8 @@ from inhand.stages.observation import Observation
 from inhand.stages.wrist import Wrist, wrist_prior
 
 Array = NDArray[np.float64]
+PALM_STEP = 2
+"""The palm is rendered at every so-many-th pixel."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ def estimate_hand_state(
         return search_fingers(observation, wrist, hand, config, rng)
     search = _FingerSearch(observation, hand, config)
     T = wrist.T_camera_hand
-    alternatives = [search.alternatives(finger, T, rng) for finger in hand.hand.fingers]
+    palm = search.render_palm(T)
+    alternatives = [search.alternatives(finger, T, palm, rng) for finger in hand.hand.fingers]
     starts = _starts(alternatives, hand)
     fit = ArticulatedFit(
         observation,
@@ -64,7 +67,7 @@ def estimate_hand_state(
     )
     widths = np.geomspace(config.first_width, config.last_width, config.iterations)
     q, poses = fit.refine(starts, np.repeat(T[None], len(starts), 0), widths)
-    q, T = search.best_combination(q, poses)
+    q, T = search.best_combination(q, poses, palm)
     refined, poses = fit.refine(q[None], T[None], np.full(4, config.last_width))
     return make_state(hand, refined[0], poses[0])
 
@@ -95,12 +98,13 @@ class _FingerSearch:
         self.observation, self.hand, self.config = observation, hand, config
         self.view = depth_view(observation)
 
-    def alternatives(self, finger: Finger, T_camera_hand: Array, rng: np.random.Generator) -> Array:
+    def alternatives(
+        self, finger: Finger, T_camera_hand: Array, palm: Any, rng: np.random.Generator
+    ) -> Array:
         """The best distinct configurations of a finger, best first, shape (k, finger's joints)."""
         config, hand = self.config, self.hand.hand
         joints = list(finger.joints)
         lower, upper = hand.lower[joints], hand.upper[joints]
-        palm = self._render_palm(T_camera_hand)
         sampler = qmc.Sobol(len(joints), seed=rng)
         tried = lower + sampler.random_base2(int(np.log2(config.samples))) * (upper - lower)
         score = self.score(finger, tried, T_camera_hand, palm, config.coarse_tolerance)
@@ -125,9 +129,10 @@ class _FingerSearch:
         q[:, list(finger.joints)] = tried
         return self._score(finger, q, np.repeat(T_camera_hand[None], len(q), 0), palm, tolerance)
 
-    def best_combination(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
+    def best_combination(
+        self, q: Array, T_camera_hand: Array, palm: Any
+    ) -> tuple[Array, Array]:
         """Every finger's best joints among refined starts (s, n), and the wrist of the best start."""
-        palm = self._render_palm(T_camera_hand[0])
         combined, total = q[0].copy(), np.zeros(len(q))
         for finger in self.hand.hand.fingers:
             score = self._score(finger, q, T_camera_hand, palm, self.config.fine_tolerance)
@@ -151,23 +156,23 @@ class _FingerSearch:
             score_configurations,
             len(q),
             [self.view, rule, poses, len(hand.hand.links), hand.points, hand.normals, hand.link]
-            + [samples, palm, score],
+            + [samples, palm, PALM_STEP, score],
             device,
             work_per_item=len(samples),
         )
         return score.numpy().astype(np.float64)
 
-    def _render_palm(self, T_camera_hand: Array) -> Any:
+    def render_palm(self, T_camera_hand: Array) -> Any:
         """Depth of the palm alone [m], on the device."""
-        poses = self.hand.link_poses(
-            np.clip(np.zeros((1, len(self.hand.hand.lower))), self.hand.hand.lower, self.hand.hand.upper),
-            T_camera_hand[None],
-        )[0]
+        hand = self.hand.hand
+        rest = np.clip(np.zeros((1, len(hand.lower))), hand.lower, hand.upper)
+        poses = self.hand.link_poses(rest, T_camera_hand[None])[0]
         moving = np.ones(len(poses), dtype=bool)
-        moving[list(self.hand.hand.palm_links)] = False
+        moving[list(hand.palm_links)] = False
         # A link that moves is put behind the camera, where no ray meets it.
         poses[moving, 2, 3] = -10.0
-        return self.hand.renderer.render_on_device(self.observation.camera, poses)[0]
+        coarse = self.observation.camera.subsampled(PALM_STEP)
+        return self.hand.renderer.render_on_device(coarse, poses)[0]
 
 
 def _distinct(tried: Array, score: Array, angle: float, keep: int) -> Array:

@@ -3,7 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
+
+from inhand.config import SegmentationConfig
+from inhand.errors import NoAnswer
+from inhand.kernels.hand_fit import hand_distances
+from inhand.kernels.launch import launch
+from inhand.packed import PackedHand, device_poses
+from inhand.stages.hand_state import HandState
+from inhand.stages.observation import Observation
 
 
 @dataclass(frozen=True)
@@ -18,3 +27,69 @@ class Segment:
     """Signed distance of every point to the estimated hand [m], shape (n,)."""
     weight: NDArray[np.float32]
     """Probability that the point belongs to the object, shape (n,)."""
+
+
+def segment_object(
+    observation: Observation,
+    hand_state: HandState,
+    hand: PackedHand,
+    object_diameter: float,
+    config: SegmentationConfig,
+) -> Segment:
+    """Keep the scene points that the hand does not explain.
+
+    The paper drops every point nearer than 3 mm to the hand (SDF(p, x_H) < epsilon). By default
+    points near the hand keep a weight that grows with their distance, so that the contact zone
+    still counts. Points too far from the hand to be on an object it touches are dropped.
+
+    Raises:
+        NoAnswer: too few points are left.
+    """
+    distance, _ = distances_to_hand(observation.points, hand_state, hand, 2 * object_diameter)
+    if config.method == "threshold":
+        weight = (distance >= config.hand_distance).astype(np.float32)
+    else:
+        span = config.certain_distance - config.hand_distance
+        weight = np.clip((distance - config.hand_distance) / span, 0, 1).astype(np.float32)
+        weight = np.maximum(weight, np.where(distance > config.hand_distance, 0.1, 0.0))
+    weight[distance > object_diameter + config.certain_distance] = 0.0
+    keep = weight > 0
+    if weight.sum() < config.min_points:
+        raise NoAnswer(
+            f"only {int(keep.sum())} depth points near the hand do not belong to it: the object is "
+            "hidden, is not in the hand, or gives no depth readings"
+        )
+    return Segment(
+        observation.points[keep],
+        observation.normals[keep],
+        distance[keep],
+        weight[keep].astype(np.float32),
+    )
+
+
+def distances_to_hand(
+    points: NDArray[np.float32], hand_state: HandState, hand: PackedHand, farthest: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Signed distances (n,) [m] of points (n, 3) to the posed hand, and their gradients (n, 3)."""
+    device, n = hand.device, len(points)
+    distance = wp.empty(n, dtype=float, device=device)
+    gradient = wp.empty(n, dtype=wp.vec3, device=device)
+    link = wp.empty(n, dtype=int, device=device)
+    launch(
+        hand_distances,
+        n,
+        [
+            wp.array(points, dtype=wp.vec3, device=device),
+            hand.fields,
+            hand.spheres,
+            device_poses(hand_state.T_camera_link, device),
+            wp.full(len(hand.hand.links), 1, dtype=int, device=device),
+            farthest,
+            distance,
+            gradient,
+            link,
+        ],
+        device,
+        work_per_item=10,
+    )
+    return distance.numpy(), gradient.numpy()

@@ -86,7 +86,11 @@ def observe(
     true = np.asarray(depth, dtype=np.float64)
     angle = incidence_angle(true, camera)
     reading = _displaced(true, angle, model, rng)
-    reading += (reading > 0) * _axial_sd(reading, angle, model) * _noise(true.shape, model, rng)
+    reading += (
+        (reading > 0)
+        * _axial_sd(reading, angle, model)
+        * _noise(true.shape, model.correlation, rng)
+    )
     flying, between = _flying_pixels(true, model, rng)
     reading[flying] = between[flying]
     start, end = model.grazing
@@ -150,12 +154,8 @@ def _smaller_step(points: Image, axis: int) -> Image:
     return np.where((size[0] <= size[1])[..., None], forward, backward)
 
 
-def _noise(shape: tuple[int, ...], model: SensorModel, rng: np.random.Generator) -> Image:
-    """Gaussian noise of unit variance with the sensor's correlation."""
-    return _smooth_noise(shape, model.correlation, rng)
-
-
-def _smooth_noise(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -> Image:
+def _noise(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -> Image:
+    """Gaussian noise of unit variance, smoothed with a Gaussian of `sd` [pixel]."""
     white = rng.normal(size=shape)
     if sd == 0:
         return white
@@ -165,16 +165,14 @@ def _smooth_noise(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -
     return np.asarray(gaussian_filter(white, sd, mode="wrap") / gain)
 
 
-def _displaced(
-    depth: Image, angle: Image, model: SensorModel, rng: np.random.Generator
-) -> Image:
+def _displaced(depth: Image, angle: Image, model: SensorModel, rng: np.random.Generator) -> Image:
     """Every pixel reads the depth of a pixel nearby."""
     if model.lateral == 0:
         return depth.copy()
     sd = model.lateral + 0.035 * angle / np.maximum(np.pi / 2 - angle, 0.05)
     v, u = np.indices(depth.shape)
-    source_u = np.rint(u + sd * _noise(depth.shape, model, rng)).astype(int)
-    source_v = np.rint(v + sd * _noise(depth.shape, model, rng)).astype(int)
+    source_u = np.rint(u + sd * _noise(depth.shape, model.correlation, rng)).astype(int)
+    source_v = np.rint(v + sd * _noise(depth.shape, model.correlation, rng)).astype(int)
     height, width = depth.shape
     return depth[np.clip(source_v, 0, height - 1), np.clip(source_u, 0, width - 1)]
 
@@ -213,7 +211,7 @@ def _in_projector_shadow(depth: Image, camera: Camera, baseline: float) -> NDArr
     with np.errstate(divide="ignore"):
         column = np.where(depth > 0, u - camera.fx * baseline / depth, np.inf)
     earliest_from_right = np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]
-    return np.asarray((depth > 0) & (column > earliest_from_right) & (baseline > 0))
+    return np.asarray((depth > 0) & (column > earliest_from_right))
 
 
 def _holes(
@@ -222,4 +220,4 @@ def _holes(
     """Blobs that cover the given share of the image."""
     if model.hole_share == 0:
         return np.zeros(shape, dtype=bool)
-    return _smooth_noise(shape, model.hole_size, rng) > -ndtri(model.hole_share)
+    return _noise(shape, model.hole_size, rng) > -float(ndtri(model.hole_share))

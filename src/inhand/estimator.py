@@ -1,0 +1,233 @@
+"""The pipeline: the stages in order."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inhand.camera import Camera
+from inhand.config import EstimatorConfig
+from inhand.errors import InputError, NoAnswer
+from inhand.estimate import Candidate, PoseEstimate
+from inhand.geometry.se3 import check_rigid
+from inhand.hand import Hand
+from inhand.kernels.launch import resolve_device
+from inhand.object_model import ObjectModel
+from inhand.packed import PackedHand, PackedObject
+from inhand.stages.clustering import cluster
+from inhand.stages.evidence import gather_evidence
+from inhand.stages.hand_state import HandState, estimate_hand_state
+from inhand.stages.hypotheses import generate_hypotheses
+from inhand.stages.observation import Observation, observe
+from inhand.stages.poses import PoseSet
+from inhand.stages.pruning import prune
+from inhand.stages.refinement import refine
+from inhand.stages.segmentation import Segment, segment_object
+from inhand.stages.selection import Selection, select
+from inhand.stages.wrist import Wrist, fit_wrist
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class StageResults:
+    """What every stage returned; None for a stage that was not reached."""
+
+    observation: Observation | None = None
+    wrist: Wrist | None = None
+    hand_state: HandState | None = None
+    segment: Segment | None = None
+    hypotheses: PoseSet | None = None
+    clustered: PoseSet | None = None
+    refined: PoseSet | None = None
+    pruned: PoseSet | None = None
+    selection: Selection | None = None
+
+
+class PoseEstimator:
+    """Estimates the pose of a known object in a known hand from single depth images.
+
+    Args:
+        hand: the hand.
+        obj: the object.
+        config: parameters; `EstimatorConfig.paper()` is the paper's method.
+        device: "cpu", "cuda:0", or None for the best there is.
+
+    Raises:
+        InputError: the device does not exist.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        obj: ObjectModel,
+        config: EstimatorConfig | None = None,
+        device: str | None = None,
+    ) -> None:
+        for value, kind, name in ((hand, Hand, "hand"), (obj, ObjectModel, "obj")):
+            if not isinstance(value, kind):
+                raise InputError(f"{name} must be an inhand.{kind.__name__}, got {value!r:.80}")
+        self.config = config or EstimatorConfig()
+        self.device = resolve_device(device)
+        self.hand = PackedHand(hand, self.device)
+        self.object = PackedObject(obj, self.device)
+
+    def estimate(self, depth: Any, camera: Camera, T_camera_hand: Any) -> PoseEstimate:
+        """Pose of the object and state of the hand in one depth image.
+
+        Args:
+            depth: z [m], floating point, shape (H, W); 0, NaN and inf mean "no reading".
+            camera: the camera of the image.
+            T_camera_hand: approximate pose of the hand's root link in the camera, (4, 4).
+
+        Raises:
+            InputError: the input is malformed. An image without an answer is no error: see
+                `PoseEstimate.found`.
+        """
+        return self.run(depth, camera, T_camera_hand)[0]
+
+    def run(
+        self, depth: Any, camera: Camera, T_camera_hand: Any
+    ) -> tuple[PoseEstimate, StageResults]:
+        """As `estimate`, with what every stage returned (for diagnosis)."""
+        image = check_depth(depth, camera)
+        T = check_rigid(T_camera_hand, "T_camera_hand")
+        clock = _Clock()
+        results = StageResults()
+        try:
+            for results in self._stages(image, camera, T, clock):
+                pass
+        except NoAnswer as problem:
+            return self._no_answer(str(problem), results, clock), results
+        return self._answer(results, clock), results
+
+    def _stages(self, depth: NDArray[np.float32], camera: Camera, T: Any, clock: "_Clock") -> Any:
+        """Run the stages one after the other, yielding the results so far after each."""
+        c, hand, obj, r = self.config, self.hand, self.object, StageResults()
+        rng = np.random.default_rng(c.seed)
+        diameter, reach = obj.model.diameter, hand.hand.reach
+
+        observation = clock.time(
+            "observation", observe, depth, camera, T, reach, diameter, c.observation, self.device
+        )
+        yield (r := replace(r, observation=observation))
+
+        wrist = clock.time("wrist", fit_wrist, observation, hand, c.wrist)
+        yield (r := replace(r, wrist=wrist))
+
+        state = clock.time(
+            "hand_state", estimate_hand_state, observation, wrist, hand, c.hand_state, c.wrist, rng
+        )
+        yield (r := replace(r, hand_state=state))
+
+        segment = clock.time(
+            "segmentation", segment_object, observation, state, hand, diameter, c.segmentation
+        )
+        evidence = clock.time(
+            "evidence", gather_evidence, observation, state, segment, hand, c.evidence
+        )
+        yield (r := replace(r, segment=segment))
+
+        hypotheses = clock.time(
+            "hypotheses", generate_hypotheses, segment, evidence, obj, c.hypotheses, rng
+        )
+        yield (r := replace(r, hypotheses=hypotheses))
+
+        clustered = clock.time("clustering", cluster, hypotheses, evidence, obj, c.clustering)
+        yield (r := replace(r, clustered=clustered))
+
+        refined = clock.time(
+            "refinement", refine, clustered, segment, evidence, obj, c.refinement
+        )
+        yield (r := replace(r, refined=refined))
+
+        pruned = clock.time("pruning", prune, refined, state, hand, obj, c.pruning)
+        yield (r := replace(r, pruned=pruned))
+
+        selection = clock.time(
+            "selection", select, pruned, observation, state, segment, evidence, hand, obj,
+            c.selection,
+        )  # fmt: skip
+        yield replace(r, selection=selection)
+
+    def _answer(self, results: StageResults, clock: "_Clock") -> PoseEstimate:
+        selection, state = results.selection, results.hand_state
+        if selection is None or state is None or not len(selection.poses):
+            return self._no_answer("no pose of the object agrees with the image", results, clock)
+        candidates = tuple(
+            Candidate(np.asarray(T, dtype=np.float64), {"score": float(s)})
+            for T, s in zip(selection.T_camera_object, selection.score, strict=True)
+        )
+        return PoseEstimate(
+            found=True,
+            reason="",
+            T_camera_object=candidates[0].T_camera_object,
+            joint_positions=self.hand.hand.joint_dict(state.joint_vector),
+            T_camera_hand=state.T_camera_hand,
+            confidence=selection.confidence,
+            candidates=candidates,
+            timings=clock.seconds,
+        )
+
+    def _no_answer(self, reason: str, results: StageResults, clock: "_Clock") -> PoseEstimate:
+        state = results.hand_state
+        return PoseEstimate(
+            found=False,
+            reason=reason,
+            T_camera_object=None,
+            joint_positions=self.hand.hand.joint_dict(state.joint_vector) if state else {},
+            T_camera_hand=state.T_camera_hand if state else None,
+            confidence=0.0,
+            timings=clock.seconds,
+        )
+
+
+def check_depth(depth: Any, camera: Camera) -> NDArray[np.float32]:
+    """`depth` as a float32 image [m] of the camera's size.
+
+    Raises:
+        InputError: it is not a floating-point image of that size, or is not in metres.
+    """
+    if not isinstance(camera, Camera):
+        raise InputError(f"camera must be an inhand.Camera, got {type(camera).__name__}")
+    image = np.asarray(depth)
+    if image.ndim != 2:
+        raise InputError(f"depth must be an image of shape (H, W), got shape {image.shape}")
+    if image.dtype.kind in "iu":
+        raise InputError(
+            f"depth must be floating point in metres, got {image.dtype}; "
+            "multiply the counts by the camera's depth unit (0.001 for millimetres)"
+        )
+    if image.dtype.kind != "f":
+        raise InputError(f"depth must be floating point in metres, got {image.dtype}")
+    if image.shape != (camera.height, camera.width):
+        raise InputError(
+            f"depth is {image.shape[1]} x {image.shape[0]} pixels but the camera "
+            f"{camera.width} x {camera.height}; scale the intrinsics with the image"
+        )
+    readings = image[np.isfinite(image) & (image != 0)]
+    if (readings < 0).any():
+        raise InputError("depth holds negative numbers; z points away from the camera")
+    if len(readings) and np.median(readings) > 50:
+        raise InputError(
+            f"the median depth is {np.median(readings):.0f} m: the image seems to be in "
+            "millimetres; multiply it by 0.001"
+        )
+    return image.astype(np.float32)
+
+
+class _Clock:
+    """Measures the stages."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    def time(self, stage: str, function: Callable[..., Result], *args: Any) -> Result:
+        start = time.perf_counter()
+        try:
+            return function(*args)
+        finally:
+            self.seconds[stage] = time.perf_counter() - start

@@ -1,0 +1,267 @@
+"""Agreement of posed objects with the depth image and the object segment; their refinement."""
+
+import warp as wp
+
+from inhand.kernels.fields import Fields, field_at
+from inhand.kernels.hand_fit import (
+    DepthView,
+    Visibility,
+    coarse_pixel,
+    judge_point,
+    pixel_of,
+    redescending,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+# A convex surface shows a quarter of its area on average (Cauchy), weighted by the facing angle.
+VISIBLE_SHARE = wp.constant(0.25)
+
+Matrix6 = wp.types.matrix(shape=(6, 6), dtype=float)
+Vector6 = wp.types.vector(length=6, dtype=float)
+
+
+@wp.struct
+class ObjectEvidence:
+    """What an object pose is held against."""
+
+    view: DepthView
+    rule: Visibility
+    hand_depth: wp.array(dtype=float)
+    """Rendered depth of the estimated hand [m], every `hand_step`-th pixel, 0 where it is not."""
+    hand_step: int
+    points: wp.array(dtype=wp.vec3)
+    """Segment points [m], camera frame."""
+    normals: wp.array(dtype=wp.vec3)
+    weights: wp.array(dtype=float)
+    """Probability that each segment point is the object's."""
+    near: float
+    """A segment point this near to the model's surface is explained [m]."""
+    share_weight: float
+    """Weight of the explained share of the segment against the visible share of the model."""
+
+
+@wp.func
+def hand_depth_at(e: ObjectEvidence, pixel: int):
+    """Rendered depth [m] of the hand at a pixel of the region of interest, 0 where it is not."""
+    return e.hand_depth[coarse_pixel(e.view.camera.width, e.hand_step, pixel)]
+
+
+@wp.func
+def visible_score(
+    e: ObjectEvidence,
+    T: wp.mat44,
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    first_point: int,
+    n_points: int,
+):
+    """Sum of the judgements of the camera-facing surface samples, per expected visible sample."""
+    total = float(0.0)
+    for i in range(first_point, first_point + n_points):
+        p = wp.transform_point(T, points[i])
+        n = wp.transform_vector(T, normals[i])
+        facing = -wp.dot(n, p) / wp.length(p)
+        if facing < 0.1:
+            continue
+        pixel = pixel_of(e.view.camera, p)
+        if pixel < 0:
+            continue
+        hand = hand_depth_at(e, pixel)
+        if hand > 0.0 and hand < p[2] - e.rule.tolerance:
+            continue
+        total += facing * judge_point(e.view, e.rule, p, n, pixel)
+    return total / (VISIBLE_SHARE * float(n_points))
+
+
+@wp.func
+def explained_share(e: ObjectEvidence, T: wp.mat44, fields: Fields, stride: int):
+    """Weighted share of the segment's points that lie on the posed model's surface."""
+    total = float(1.0e-6)
+    explained = float(0.0)
+    inverse = wp.transpose(T)
+    t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+    for i in range(0, e.points.shape[0], stride):
+        w = e.weights[i]
+        total += w
+        value = field_at(fields, 0, wp.transform_vector(inverse, e.points[i] - t))
+        x = wp.abs(value[0]) / e.near
+        if x < 1.0:
+            gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+            agreement = wp.max(0.0, wp.dot(gradient, e.normals[i]))
+            explained += w * (1.0 - x * x) * agreement
+    return explained / total
+
+
+@wp.kernel
+def score_poses(
+    e: ObjectEvidence,
+    T_camera_object: wp.array(dtype=wp.mat44),
+    index: wp.array(dtype=int),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    n_points: int,
+    fields: Fields,
+    segment_stride: int,
+    score: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a pose `index[i]`: how well it explains the image and the segment.
+
+    Args (beyond the obvious):
+        points, normals: model surface samples, object frame; the first `n_points` are used.
+        segment_stride: every how many segment points one is used.
+    """
+    i = first + wp.tid()
+    T = T_camera_object[index[i]]
+    if T[3, 3] == 0.0:
+        score[i] = -1.0e6
+        return
+    score[i] = visible_score(e, T, points, normals, 0, n_points) + (
+        e.share_weight * explained_share(e, T, fields, segment_stride)
+    )
+
+
+@wp.func
+def solve6(A: Matrix6, b: Vector6):
+    """Solution of A x = b for a symmetric positive definite A, by Cholesky."""
+    L = Matrix6()
+    y = Vector6()
+    for i in range(6):
+        for j in range(i + 1):
+            s = A[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j:
+                L[i, i] = wp.sqrt(wp.max(s, 1.0e-12))
+            else:
+                L[i, j] = s / L[j, j]
+    for i in range(6):
+        s = b[i]
+        for k in range(i):
+            s -= L[i, k] * y[k]
+        y[i] = s / L[i, i]
+    x = Vector6()
+    for r in range(6):
+        i = 5 - r
+        s = y[i]
+        for k in range(i + 1, 6):
+            s -= L[k, i] * x[k]
+        x[i] = s / L[i, i]
+    return x
+
+
+@wp.func
+def moved(T: wp.mat44, x: Vector6, pivot: wp.vec3):
+    """`T` after the rotation vector x[0:3] about `pivot` and the translation x[3:6]."""
+    w = wp.vec3(x[0], x[1], x[2])
+    angle = wp.length(w)
+    R = wp.identity(n=3, dtype=float)
+    if angle > 1.0e-9:
+        R = wp.quat_to_matrix(wp.quat_from_axis_angle(w / angle, angle))
+    old = wp.mat33(
+        T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2]
+    )
+    t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+    R_new = R @ old
+    t_new = R @ (t - pivot) + pivot + wp.vec3(x[3], x[4], x[5])
+    return wp.mat44(
+        R_new[0, 0], R_new[0, 1], R_new[0, 2], t_new[0],
+        R_new[1, 0], R_new[1, 1], R_new[1, 2], t_new[1],
+        R_new[2, 0], R_new[2, 1], R_new[2, 2], t_new[2],
+        0.0, 0.0, 0.0, 1.0,
+    )  # fmt: skip
+
+
+@wp.kernel
+def refine_poses(
+    e: ObjectEvidence,
+    T_start: wp.array(dtype=wp.mat44),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    n_points: int,
+    fields: Fields,
+    centre: wp.vec3,
+    scale: float,
+    iterations: int,
+    first_width: float,
+    last_width: float,
+    segment_stride: int,
+    image_weight: float,
+    T_refined: wp.array(dtype=wp.mat44),
+    first: int,
+):
+    """One work item a pose: Gauss-Newton of the segment onto the model's distance field.
+
+    Visible model samples are pulled to the reading on their ray as well, so that the fit also
+    sees model surface that the segment misses.
+
+    Args (beyond the obvious):
+        centre: centre of the model, object frame [m]; rotations are about it.
+        scale: radius of the model [m]; makes rotations and translations comparable in the damping.
+        first_width, last_width: width of the redescending weight, narrowing geometrically [m].
+        image_weight: weight of one visible model sample against one segment point.
+    """
+    i = first + wp.tid()
+    T = T_start[i]
+    width = first_width
+    shrink = wp.pow(last_width / first_width, 1.0 / wp.max(1.0, float(iterations - 1)))
+    for _iteration in range(iterations):
+        A = Matrix6()
+        b = Vector6()
+        pivot = wp.transform_point(T, centre)
+        inverse = wp.transpose(T)
+        t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+        for s in range(0, e.points.shape[0], segment_stride):
+            p = e.points[s]
+            value = field_at(fields, 0, wp.transform_vector(inverse, p - t))
+            w = e.weights[s] * redescending(value[0], width)
+            if w <= 0.0:
+                continue
+            g = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+            w = w * wp.max(0.0, wp.dot(g, e.normals[s]))
+            if w <= 0.0:
+                continue
+            m = wp.cross(p - pivot, g)
+            j = Vector6(m[0], m[1], m[2], g[0], g[1], g[2])
+            for r in range(6):
+                wr = w * j[r]
+                b[r] += wr * value[0]
+                for c in range(r + 1):
+                    A[r, c] += wr * j[c]
+        if image_weight > 0.0:
+            for s in range(n_points):
+                p = wp.transform_point(T, points[s])
+                n = wp.transform_vector(T, normals[s])
+                facing = -wp.dot(n, p) / wp.length(p)
+                if facing < 0.15:
+                    continue
+                pixel = pixel_of(e.view.camera, p)
+                if pixel < 0:
+                    continue
+                d = e.view.depth[pixel]
+                if d <= 0.0 or wp.abs(d - p[2]) > width:
+                    continue
+                hand = hand_depth_at(e, pixel)
+                if hand > 0.0 and wp.abs(hand - d) < 0.5 * e.near:
+                    continue
+                r0 = (d / p[2] - 1.0) * wp.dot(n, p)
+                w = image_weight * facing * redescending(r0, width)
+                w = w * wp.max(0.0, wp.dot(n, e.view.normals[pixel]))
+                if w <= 0.0:
+                    continue
+                m = wp.cross(p - pivot, n)
+                j = Vector6(m[0], m[1], m[2], n[0], n[1], n[2])
+                for r in range(6):
+                    wr = w * j[r]
+                    b[r] += wr * r0
+                    for c in range(r + 1):
+                        A[r, c] += wr * j[c]
+        trace = A[3, 3] + A[4, 4] + A[5, 5]
+        damping = 0.003 * trace + 1.0e-6
+        for r in range(3):
+            A[r, r] += damping * scale * scale
+            A[r + 3, r + 3] += damping
+        T = moved(T, solve6(A, b), pivot)
+        width = width * shrink
+    T_refined[i] = T

@@ -1,0 +1,105 @@
+"""Object poses from pairs of oriented points matched through the pair table (Drost et al. 2010)."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class PairTable:
+    """The model's pairs by quantised feature, see `inhand.object_model.PairTable`."""
+
+    cell_start: wp.array(dtype=int)
+    pair_first: wp.array(dtype=int)
+    pair_second: wp.array(dtype=int)
+    points: wp.array(dtype=wp.vec3)
+    normals: wp.array(dtype=wp.vec3)
+    distance_step: float
+    n_distance: int
+    n_angle: int
+
+
+@wp.func
+def pair_frame(p1: wp.vec3, n1: wp.vec3, p2: wp.vec3, n2: wp.vec3):
+    """Rotation whose columns are the pair's axes: along the pair, along its mean normal, across."""
+    along = wp.normalize(p2 - p1)
+    a = n1 - wp.dot(n1, along) * along
+    b = n2 - wp.dot(n2, along) * along
+    up = a + b
+    if wp.length(up) < 0.3:
+        up = a - b
+    up = wp.normalize(up)
+    across = wp.cross(along, up)
+    return wp.mat33(
+        along[0], up[0], across[0], along[1], up[1], across[1], along[2], up[2], across[2]
+    )
+
+
+@wp.func
+def angle_between(a: wp.vec3, b: wp.vec3):
+    return wp.acos(wp.clamp(wp.dot(a, b), -1.0, 1.0))
+
+
+@wp.kernel
+def match_pairs(
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    pair_a: wp.array(dtype=int),
+    pair_b: wp.array(dtype=int),
+    table: PairTable,
+    matches: int,
+    seed: int,
+    T_camera_object: wp.array(dtype=wp.mat44),
+    first: int,
+):
+    """One work item a scene pair: `matches` poses that lay a model pair onto it.
+
+    The feature is jittered by half a cell at each draw, which makes the cells' borders soft. A
+    draw from an empty cell leaves a zero matrix.
+    """
+    k = first + wp.tid()
+    p1 = points[pair_a[k]]
+    n1 = normals[pair_a[k]]
+    p2 = points[pair_b[k]]
+    n2 = normals[pair_b[k]]
+    d = p2 - p1
+    length = wp.length(d)
+    direction = d / wp.max(length, 1.0e-9)
+    angle_step = 3.14159265 / float(table.n_angle)
+    f0 = length / table.distance_step
+    f1 = angle_between(n1, direction) / angle_step
+    f2 = angle_between(n2, direction) / angle_step
+    f3 = angle_between(n1, n2) / angle_step
+    scene = pair_frame(p1, n1, p2, n2)
+    middle = 0.5 * (p1 + p2)
+    for m in range(matches):
+        T_camera_object[k * matches + m] = wp.mat44()
+        state = wp.rand_init(seed, k * matches + m)
+        c0 = int(wp.floor(f0 + wp.randf(state) - 0.5))
+        c1 = int(wp.floor(f1 + wp.randf(state) - 0.5))
+        c2 = int(wp.floor(f2 + wp.randf(state) - 0.5))
+        c3 = int(wp.floor(f3 + wp.randf(state) - 0.5))
+        # Angles are mirrored at 0 and pi.
+        top = table.n_angle - 1
+        c1 = wp.clamp(c1, 0, top)
+        c2 = wp.clamp(c2, 0, top)
+        c3 = wp.clamp(c3, 0, top)
+        if c0 < 1 or c0 >= table.n_distance:
+            continue
+        cell = ((c0 * table.n_angle + c1) * table.n_angle + c2) * table.n_angle + c3
+        start = table.cell_start[cell]
+        count = table.cell_start[cell + 1] - start
+        if count <= 0:
+            continue
+        entry = start + wp.min(count - 1, int(wp.randf(state) * float(count)))
+        i = table.pair_first[entry]
+        j = table.pair_second[entry]
+        model = pair_frame(table.points[i], table.normals[i], table.points[j], table.normals[j])
+        R = scene @ wp.transpose(model)
+        t = middle - R @ (0.5 * (table.points[i] + table.points[j]))
+        T_camera_object[k * matches + m] = wp.mat44(
+            R[0, 0], R[0, 1], R[0, 2], t[0],
+            R[1, 0], R[1, 1], R[1, 2], t[1],
+            R[2, 0], R[2, 1], R[2, 2], t[2],
+            0.0, 0.0, 0.0, 1.0,
+        )  # fmt: skip

@@ -1,0 +1,164 @@
+"""The object to be found: its surface, distance field, point pairs and symmetry."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inhand.cache import cached
+from inhand.errors import InputError
+from inhand.geometry.distance_field import DistanceField, build_distance_field
+from inhand.geometry.mesh import TriangleMesh, from_trimesh, load_mesh
+from inhand.geometry.sampling import SurfaceSamples, sample_surface
+from inhand.object_symmetry import Symmetry, detect_symmetry
+from inhand.pair_table import ANGLE_STEPS, DISTANCE_STEPS, PairTable, build_pair_table
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+"""Units of length a mesh may come in, in metres."""
+SMALLEST, LARGEST = 0.005, 1.0
+"""Diameters [m] between which an object may fit a hand."""
+SURFACE_POINTS = 2000
+FIELD_MARGIN = 0.02
+"""How far the distance field reaches beyond the surface [m]."""
+FIELD_STEPS = 90
+"""Voxels of the distance field along the diameter ..."""
+SMALLEST_VOXEL = 0.001
+"""... but none smaller than this [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A rigid object, in the frame of its mesh."""
+
+    mesh: TriangleMesh
+    surface: SurfaceSamples
+    """Visible surface, `SURFACE_POINTS` samples in progressive order."""
+    distance_field: DistanceField
+    pairs: PairTable
+    """Point pair features of the first surface samples."""
+    symmetry: Symmetry
+    name: str
+
+    @classmethod
+    def from_mesh(
+        cls,
+        mesh: str | PathLike[str] | TriangleMesh | Any,
+        unit: str = "m",
+        symmetry: Symmetry | Literal["none"] | None = None,
+    ) -> "ObjectModel":
+        """Build the model, or read it from the cache.
+
+        Args:
+            mesh: a mesh file of any format trimesh reads, a `TriangleMesh`, or a trimesh object.
+            unit: length unit of the mesh: "m", "cm", "mm" or "inch".
+            symmetry: the rotations that leave the object as it is; "none" if there are none; by
+                default they are detected from the shape.
+
+        Raises:
+            InputError: unreadable or empty mesh, unknown unit, or a size that no hand holds.
+        """
+        if unit not in UNITS:
+            raise InputError(f'unknown unit "{unit}"; known: {", ".join(UNITS)}')
+        if not (symmetry is None or symmetry == "none" or isinstance(symmetry, Symmetry)):
+            raise InputError(f'symmetry must be None, "none" or a Symmetry, got {symmetry!r}')
+        scale = UNITS[unit]
+        name = "object"
+        if isinstance(mesh, TriangleMesh):
+            mesh = TriangleMesh(mesh.vertices * scale, mesh.faces)
+        elif isinstance(mesh, str | PathLike):
+            name = Path(mesh).stem
+            mesh = load_mesh(mesh, scale)
+        else:
+            mesh = from_trimesh(mesh, scale)
+        _check_size(mesh.diameter, unit)
+        arrays = cached(["object", mesh.content_key], lambda: _derive(mesh))
+        model = _assemble(mesh, arrays, name)
+        if symmetry is None:
+            return model
+        if symmetry == "none":
+            symmetry = Symmetry.none(model.symmetry.centre)
+        return cls(mesh, model.surface, model.distance_field, model.pairs, symmetry, name)
+
+    @property
+    def diameter(self) -> float:
+        """Largest distance between two points of the object [m]."""
+        return self.mesh.diameter
+
+    @cached_property
+    def centre(self) -> NDArray[np.float64]:
+        """Centre of a small sphere around the object [m], shape (3,)."""
+        return bounding_centre(self.mesh.vertices)
+
+
+def bounding_centre(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Centre of a nearly smallest sphere around `points`, (n, 3), by stepping to the farthest one.
+
+    After k steps the radius is within a factor 1 + 1/sqrt(k) of the best (Badoiu and Clarkson,
+    "Smaller core-sets for balls", 2003).
+    """
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    for k in range(1, 200):
+        farthest = points[np.argmax(((points - centre) ** 2).sum(axis=1))]
+        centre = centre + (farthest - centre) / (k + 1)
+    return centre
+
+
+def _check_size(diameter: float, unit: str) -> None:
+    """Raise InputError for an object that no hand holds, naming the likely unit."""
+    if SMALLEST <= diameter <= LARGEST:
+        return
+    number = diameter / UNITS[unit]
+    likely = [u for u, metres in UNITS.items() if 0.02 <= number * metres <= 0.4 and u != unit]
+    hint = f'; is the mesh in another unit? Try unit="{likely[-1]}"' if likely else ""
+    raise InputError(
+        f'the object\'s diameter is {diameter:.4g} m (unit "{unit}"), expected between '
+        f"{SMALLEST} m and {LARGEST:g} m{hint}"
+    )
+
+
+def _derive(mesh: TriangleMesh) -> dict[str, NDArray[Any]]:
+    """Everything computed from the mesh, as arrays for the cache."""
+    surface = sample_surface(mesh, SURFACE_POINTS)
+    voxel = max(SMALLEST_VOXEL, mesh.diameter / FIELD_STEPS)
+    field = build_distance_field(mesh, voxel, FIELD_MARGIN)
+    pairs = build_pair_table(surface, mesh.diameter)
+    symmetry = detect_symmetry(mesh, surface)
+    return {
+        "points": surface.points,
+        "normals": surface.normals,
+        "field_origin": field.origin,
+        "field_voxel": np.array(field.voxel),
+        "field_values": field.values,
+        "cell_start": pairs.cell_start,
+        "pair_first": pairs.pair_first,
+        "pair_second": pairs.pair_second,
+        "distance_step": np.array(pairs.distance_step),
+        "symmetry_centre": symmetry.centre,
+        "symmetry_axis": np.zeros(0) if symmetry.axis is None else symmetry.axis,
+        "symmetry_rotations": symmetry.rotations,
+    }
+
+
+def _assemble(mesh: TriangleMesh, a: Mapping[str, NDArray[Any]], name: str) -> ObjectModel:
+    """The model from the arrays of `_derive`."""
+    axis = a["symmetry_axis"] if a["symmetry_axis"].size else None
+    return ObjectModel(
+        mesh,
+        SurfaceSamples(a["points"], a["normals"]),
+        DistanceField(a["field_origin"], float(a["field_voxel"]), a["field_values"]),
+        PairTable(
+            a["cell_start"],
+            a["pair_first"],
+            a["pair_second"],
+            float(a["distance_step"]),
+            DISTANCE_STEPS,
+            ANGLE_STEPS,
+        ),
+        Symmetry(a["symmetry_centre"], axis, a["symmetry_rotations"]),
+        name,
+    )

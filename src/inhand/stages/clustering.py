@@ -1,0 +1,75 @@
+"""Reduction of the hypotheses to distinct poses (paper, section IV-B)."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from inhand.config import ClusteringConfig
+from inhand.kernels.launch import launch
+from inhand.kernels.pose_distance import surface_distances
+from inhand.packed import PackedObject, device_poses
+from inhand.stages.evidence import Evidence, score
+from inhand.stages.poses import PoseSet
+
+
+def cluster(
+    hypotheses: PoseSet, evidence: Evidence, obj: PackedObject, config: ClusteringConfig
+) -> PoseSet:
+    """The best pose of every group of poses that are alike, best first.
+
+    The paper groups by translation, then by rotation. By default the best hypotheses are scored
+    again on more points, and taken greedily as long as their surface differs from those taken.
+    """
+    if config.method == "se3":
+        from inhand.stages.se3_clustering import cluster_se3
+
+        return cluster_se3(hypotheses, obj, config)
+    n = min(config.shortlist, len(hypotheses))
+    best = np.argpartition(-hypotheses.score, n - 1)[:n]
+    shortlist = hypotheses.take(np.sort(best))
+    scores = score(
+        evidence,
+        obj,
+        shortlist.T_camera_object,
+        np.arange(n),
+        model_points=config.model_points,
+        segment_points=config.segment_points,
+    )
+    return distinct_poses(
+        PoseSet(shortlist.T_camera_object, scores), obj, config.surface_distance, config.keep
+    )
+
+
+def distinct_poses(poses: PoseSet, obj: PackedObject, distance: float, keep: int) -> PoseSet:
+    """The best poses, best first, whose surfaces lie farther apart than `distance` [m] on average.
+
+    Poses that differ by a symmetry of the object have the same surface and are one.
+    """
+    ranked = poses.take(np.argsort(-poses.score, kind="stable"))
+    on_device = device_poses(ranked.T_camera_object, obj.device)
+    left = np.ones(len(ranked), dtype=bool)
+    chosen: list[int] = []
+    while len(chosen) < keep and left.any():
+        best = int(left.argmax())
+        chosen.append(best)
+        left &= _distances(on_device, ranked.T_camera_object[best], obj, 3 * distance) > distance
+        left[best] = False
+    return ranked.take(np.array(chosen, dtype=np.intp))
+
+
+def _distances(
+    on_device: Any, T: NDArray[np.float32], obj: PackedObject, farthest: float
+) -> NDArray[np.float32]:
+    """Mean surface distances [m] of device poses to one pose, cut off at `farthest`."""
+    out = wp.empty(len(on_device), dtype=float, device=obj.device)
+    launch(
+        surface_distances,
+        len(on_device),
+        [on_device, wp.mat44(*T.reshape(-1).tolist()), obj.points, 24, obj.fields]
+        + [wp.vec3(*obj.model.centre.tolist()), farthest, out],
+        obj.device,
+        work_per_item=5,
+    )
+    return np.asarray(out.numpy())

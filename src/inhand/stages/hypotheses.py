@@ -1,0 +1,109 @@
+"""Generation of object poses (paper, section IV-B)."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from inhand.config import HypothesesConfig
+from inhand.errors import NoAnswer
+from inhand.kernels.launch import launch
+from inhand.kernels.pair_matching import PairTable, match_pairs
+from inhand.packed import PackedObject
+from inhand.stages.evidence import Evidence, score
+from inhand.stages.poses import PoseSet
+from inhand.stages.segmentation import Segment
+
+
+def generate_hypotheses(
+    segment: Segment,
+    evidence: Evidence,
+    obj: PackedObject,
+    config: HypothesesConfig,
+    rng: np.random.Generator,
+) -> PoseSet:
+    """Object poses that lay parts of the model onto the segment, scored.
+
+    The paper samples 4-point bases and looks for congruent sets (Alg. 2). By default pairs of
+    oriented points are matched instead (Drost et al., "Model Globally, Match Locally", 2010), and
+    every pose is scored against the image.
+
+    Raises:
+        NoAnswer: nothing on the segment matches the model.
+    """
+    if config.method == "congruent_sets":
+        from inhand.stages.congruent_sets import generate_from_congruent_sets
+
+        return generate_from_congruent_sets(segment, obj, config, rng)
+    a, b = _sample_pairs(segment, obj, config, rng)
+    poses = _match(segment, obj, a, b, config, int(rng.integers(2**31)))
+    matched = np.flatnonzero(poses.numpy()[:, 3, 3] > 0)
+    if not len(matched):
+        raise NoAnswer("no part of the object segment matches the object's shape")
+    scores = score(
+        evidence,
+        obj,
+        poses,
+        matched,
+        model_points=config.model_points,
+        segment_points=config.segment_points,
+    )
+    return PoseSet(poses.numpy()[matched], scores)
+
+
+def _sample_pairs(
+    segment: Segment, obj: PackedObject, config: HypothesesConfig, rng: np.random.Generator
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Pairs of segment points that lie on the object with high probability and not too close."""
+    heuristic = 1 - np.exp(-config.heuristic_decay * np.maximum(segment.hand_distance, 0))
+    probability = segment.weight * heuristic + 1e-6
+    probability /= probability.sum()
+    # Wide pairs fix a pose better: of several partners the one nearest the wanted width is taken.
+    n, tries = config.pairs, config.partner_tries
+    a = rng.choice(len(segment.points), size=n, p=probability)
+    b = rng.choice(len(segment.points), size=(n, tries), p=probability)
+    width = np.linalg.norm(segment.points[a][:, None] - segment.points[b], axis=2)
+    diameter = obj.model.diameter
+    wanted = rng.uniform(config.min_width, config.max_width, size=(n, 1)) * diameter
+    cost = np.abs(width - wanted) + np.where(width > diameter, 10.0, 0.0)
+    best = cost.argmin(axis=1)
+    b = b[np.arange(n), best]
+    usable = (width[np.arange(n), best] < diameter) & (a != b)
+    return a[usable].astype(np.int32), b[usable].astype(np.int32)
+
+
+def _match(
+    segment: Segment,
+    obj: PackedObject,
+    a: NDArray[np.int32],
+    b: NDArray[np.int32],
+    config: HypothesesConfig,
+    seed: int,
+) -> Any:
+    """Poses from the pair table on the device; empty draws are zero matrices."""
+    device, pairs = obj.device, obj.model.pairs
+    table = PairTable()
+    table.cell_start, table.pair_first = obj.cell_start, obj.pair_first
+    table.pair_second = obj.pair_second
+    table.points, table.normals = obj.points, obj.normals
+    table.distance_step = pairs.distance_step
+    table.n_distance, table.n_angle = pairs.n_distance, pairs.n_angle
+    poses = wp.empty(len(a) * config.matches, dtype=wp.mat44, device=device)
+    launch(
+        match_pairs,
+        len(a),
+        [
+            wp.array(segment.points, dtype=wp.vec3, device=device),
+            wp.array(segment.normals, dtype=wp.vec3, device=device),
+            wp.array(a, dtype=int, device=device),
+            wp.array(b, dtype=int, device=device),
+            table,
+            config.matches,
+            seed,
+            poses,
+        ],
+        device,
+        work_per_item=10 * config.matches,
+    )
+    return poses

@@ -1,0 +1,47 @@
+"""The paper's correction of the wrist pose: ICP of the wrist's model against the scene cloud
+(section IV-A)."""
+
+import numpy as np
+import warp as wp
+
+from inhand.config import WristConfig
+from inhand.kernels.launch import launch
+from inhand.kernels.point_to_plane import RigidModel, align_to_points
+from inhand.packed import PackedHand, device_poses
+from inhand.stages.observation import Observation
+from inhand.stages.wrist import Wrist
+
+
+def fit_wrist_icp(observation: Observation, hand: PackedHand, config: WristConfig) -> Wrist:
+    """Point-to-plane ICP of the links that are rigid with the hand's root.
+
+    Nothing holds the directions that the visible part of the wrist leaves open.
+    """
+    links, palm = hand.hand.links, list(hand.hand.palm_links)
+    if not palm:
+        return Wrist(observation.T_camera_hand)
+    device = hand.device
+    T_hand_link = hand.hand.forward_kinematics((hand.hand.lower + hand.hand.upper) / 2)
+    vertices = np.concatenate(
+        [links[i].mesh.vertices @ T_hand_link[i, :3, :3].T + T_hand_link[i, :3, 3] for i in palm]
+    )
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    model = RigidModel()
+    model.fields, model.spheres = hand.fields, hand.spheres
+    model.T_model_part = device_poses(T_hand_link, device)
+    used = np.isin(np.arange(len(links)), palm).astype(np.int32)
+    model.used = wp.array(used, dtype=int, device=device)
+    model.centre = wp.vec3(*centre)
+    model.radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+    pose = device_poses(observation.T_camera_hand, device)
+    inputs = [
+        model,
+        wp.array(observation.points, dtype=wp.vec3, device=device),
+        wp.array(observation.normals, dtype=wp.vec3, device=device),
+        config.max_distance,
+        float(np.cos(config.max_normal_angle)),
+        config.iterations,
+        pose,
+    ]
+    launch(align_to_points, 1, inputs, device)
+    return Wrist(pose.numpy()[0].astype(np.float64))
