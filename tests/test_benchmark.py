@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from rich.console import Console
 
 from inhand.camera import Camera
+from inhand.cli import main
 from inhand.datasets.frames import find_frames, read_frame
 from inhand.errors import InputError
 from inhand.evaluation.benchmark import Benchmark, peak_memory, pick_frames
@@ -58,10 +60,15 @@ STAGE_FIELDS = [
 
 
 @pytest.fixture(scope="module")
-def hand(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+def urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("hand") / "pincher.urdf"
     path.write_text(URDF)
-    return Hand.from_urdf(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def hand(urdf: Path) -> Hand:
+    return Hand.from_urdf(urdf)
 
 
 @pytest.fixture(scope="module")
@@ -294,7 +301,7 @@ def test_report_of_a_run(hand: Hand, frames: Path, load_object: Callable[[str], 
     assert summary["wrist_error"]["answer"]["translation"]["median"] == pytest.approx(0, abs=1e-6)
     assert summary["peak_memory"] == max(r.peak_memory or 0 for r in results)
     text = printed(summary)
-    for words in ("all frames", "67% (30%-90%)", "> 60 % visible", "selection", "20.0 ms"):
+    for words in ("all frames", "67% (30-90)", "> 60 % visible", "selection", "20.0 ms"):
         assert words in text
 
 
@@ -335,6 +342,57 @@ def test_contact_sheet_shows_the_worst_first(
     moved = np.argwhere(red).mean(axis=0)[::-1] - np.argwhere(green).mean(axis=0)[::-1]
     cosine = moved @ expected / np.linalg.norm(moved) / np.linalg.norm(expected)
     assert cosine > 0.95
+
+
+def test_command_line_runs_stops_and_goes_on(
+    hand: Hand, urdf: Path, frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "objects").mkdir()
+    trimesh.creation.box(extents=(0.03, 0.04, 0.06)).export(tmp_path / "objects" / "box.ply")
+    told = ToldEstimator(hand, frames, {"tiny/box_003": "stop"})
+    monkeypatch.setattr("inhand.estimator.PoseEstimator", lambda *_, **__: told)
+    monkeypatch.setattr("inhand.cli.bench.load_kernels", lambda *_: None)
+    out = tmp_path / "out"
+    command = ["bench", str(frames), "--hand", str(urdf), "--device", "cpu", "--out", str(out)]
+    command += ["--objects", str(tmp_path / "objects")]
+
+    assert main(command) == 130
+    assert json.loads((out / "summary.json").read_text())["frames"]["answer"] == 3
+    told.orders.clear()
+    assert main([*command, "--limit", "2"]) == 0
+    assert json.loads((out / "summary.json").read_text())["frames"]["answer"] == 2
+    assert main(command) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["frames"]["answer"] == 6
+    assert summary["settings"]["preset"] == "default"
+    assert (out / "worst.png").exists()
+    assert len((out / "results.jsonl").read_text().splitlines()) == 7
+    assert main([*command, "--seed", "1"]) == 2, "other settings"
+    assert main([*command, "--seed", "1", "--restart"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["no/such/folder"], "no folder of frames"),
+        (["{frames}"], "--hand"),
+        (["{frames}", "--hand", "{urdf}"], "--objects"),
+        (["{frames}", "--hand", "{urdf}", "--objects", "none"], "no folder of object meshes"),
+        (["{frames}", "--every", "0"], "at least 1"),
+    ],
+)
+def test_command_line_says_what_is_missing(
+    arguments: list[str],
+    words: str,
+    frames: Path,
+    urdf: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given = [a.format(frames=frames, urdf=urdf) for a in arguments]
+    assert main(["bench", *given, "--out", str(tmp_path / "out")]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 GOOD, POOR = 0.004, 0.030

@@ -175,11 +175,11 @@ def test_the_window_camera_sees_what_the_window_cuts() -> None:
 
 
 def test_the_window_fills_what_lies_outside_the_image() -> None:
-    image = np.full((10, 20), 5)
-    cut = Window.around(np.zeros((10, 20), dtype=bool)).cut(image, fill=-1, size=40)
-    assert (cut[:10] == -1).all()
-    assert (cut[-10:] == -1).all()
-    assert (cut[10:30] == 5).all()
+    image = np.full((20, 40), 5)
+    cut = Window.around(np.zeros((20, 40), dtype=bool)).cut(image, fill=-1, size=80)
+    assert (cut[:20] == -1).all()
+    assert (cut[-20:] == -1).all()
+    assert (cut[20:60] == 5).all()
 
 
 def test_outline() -> None:

@@ -41,7 +41,7 @@ class WristConfig:
     """Gauss-Newton or ICP iterations."""
     max_distance: float = 0.015
     """Scene points farther from the model than this do not take part [m]."""
-    max_normal_angle: float = 0.7854
+    max_normal_angle: float = 0.35
     """`icp`: nor do points whose normal differs by more than this from the model's [rad]."""
     last_width: float = 0.005
     """Width of the redescending weight in the last iteration [m]."""
@@ -66,7 +66,7 @@ class HandStateConfig:
     """Depth agreement during the search [m]."""
     fine_tolerance: float = 0.004
     """Depth agreement when refined configurations are compared [m]."""
-    violation: float = 1.0
+    violation: float = 2.0
     """Penalty of a surface point that the camera looked through, in units of one agreeing point."""
     missing: float = 0.5
     """Penalty of a surface point in the middle of an area without readings."""
@@ -87,13 +87,17 @@ class HandStateConfig:
     number of neighbouring points whose errors go together."""
     joint_damping: float = 4.0
     """Information that holds every joint at its current angle in one iteration [1/rad^2]."""
+    certain_support: float = 0.3
+    """A finger link that scores less, per share of it that nothing hides, is not relied on."""
+    min_seen: float = 0.07
+    """Shares that nothing hides count as this at least."""
     particles: int = 15
     """Particles of the swarm. Paper: 15."""
     generations: int = 3
     """Generations of the swarm. Paper: 3."""
-    swarm_inertia: float = 1.0
+    swarm_inertia: float = 0.7
     """Largest weight of a particle's previous velocity."""
-    swarm_pull: float = 2.0
+    swarm_pull: float = 1.5
     """Largest weight of the ways to the particle's own best and to the swarm's best position."""
     lcp_distance: float = 0.005
     """Alg. 1: a finger point nearer than this to the scene counts [m]."""
@@ -113,6 +117,8 @@ class SegmentationConfig:
     """`threshold`: the paper's; `soft`: points near the hand keep a weight."""
     hand_distance: float = 0.003
     """Points with a smaller signed distance to the hand are the hand's [m]. Paper: 3 mm."""
+    uncertain_weight: float = 0.25
+    """`soft`: weight of a point that only a link without support in the image explains."""
     certain_distance: float = 0.006
     """`soft`: from this distance on a point is certainly not the hand's [m]."""
     min_points: int = 12
@@ -175,12 +181,16 @@ class HypothesesConfig:
     """Tolerance of pair lengths and intermediate points in the congruent-set extraction [m]."""
     congruence_angle: float = 0.35
     """Tolerance of the angles in the congruent-set extraction [rad]."""
+    max_pairs_per_base: int = 500
+    """Model pairs like one of a base's two pairs that are tried at most."""
     max_sets_per_base: int = 300
     """Congruent sets aligned per base at most."""
     lcp_distance: float = 0.003
     """LCP: a segment point nearer than this to the model counts [m]."""
     lcp_normal_angle: float = 0.5236
     """LCP: and whose normal differs by less than this [rad]."""
+    lcp_points: int = 300
+    """LCP: segment points used at most."""
 
 
 @dataclass(frozen=True)
@@ -245,7 +255,7 @@ class PruningConfig:
 
     method: Literal["none", "physics"] = "none"
     """`physics`: the paper's gates; `none`: left to the likelihood."""
-    max_penetration: float = 0.005
+    max_penetration: float = 0.010
     """Object poses deeper in the hand than this are rejected [m]."""
     max_gap: float = 0.010
     """Object poses farther from the hand than this do not touch it and are rejected [m]."""

@@ -92,7 +92,7 @@ class ObjectModel:
     @cached_property
     def centre(self) -> NDArray[np.float64]:
         """Centre of a small sphere around the object [m], shape (3,)."""
-        return bounding_centre(self.mesh.vertices)
+        return bounding_centre(self.mesh.hull_vertices)
 
 
 def bounding_centre(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,7 +102,7 @@ def bounding_centre(points: NDArray[np.float64]) -> NDArray[np.float64]:
     "Smaller core-sets for balls", 2003).
     """
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    for k in range(1, 200):
+    for k in range(1, 500):
         farthest = points[np.argmax(((points - centre) ** 2).sum(axis=1))]
         centre = centre + (farthest - centre) / (k + 1)
     return centre
@@ -114,7 +114,8 @@ def _check_size(diameter: float, unit: str) -> None:
         return
     number = diameter / UNITS[unit]
     likely = [u for u, metres in UNITS.items() if 0.02 <= number * metres <= 0.4 and u != unit]
-    hint = f'; is the mesh in another unit? Try unit="{likely[-1]}"' if likely else ""
+    tries = " or ".join(f'unit="{u}"' for u in likely)
+    hint = f"; is the mesh in another unit? Try {tries}" if likely else ""
     raise InputError(
         f'the object\'s diameter is {diameter:.4g} m (unit "{unit}"), expected between '
         f"{SMALLEST} m and {LARGEST:g} m{hint}"

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from inhand.errors import InputError
 from inhand.geometry import se3
 from inhand.geometry.mesh import TriangleMesh
 from inhand.geometry.sampling import SurfaceSamples
@@ -42,12 +43,16 @@ SAME_ELEMENT = np.radians(15)
 CONTINUOUS_TEST_ANGLES = np.pi * (3 - 5**0.5) * np.arange(1, 9)
 """Multiples of the golden angle: no finite order comes close to all of them."""
 SPHERE_AXES = 60
-"""Axis directions that stand for all orientations of a sphere, about 20 degrees apart."""
+"""Axis directions that stand for all orientations of a sphere, about 24 degrees apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """The rotations that map an object to itself."""
+    """The rotations that map an object to itself.
+
+    Raises:
+        InputError: wrong shapes, transforms that are not rigid, or no identity in front.
+    """
 
     centre: Array
     """Point that every rotation leaves in place [m], shape (3,)."""
@@ -57,6 +62,28 @@ class Symmetry:
     """Discrete transforms T_object_object, identity first, shape (k, 4, 4). With a continuous axis:
     the identity and, if it exists, one flip of the axis. A sphere has the axis z and transforms
     that turn it to `SPHERE_AXES` even directions."""
+
+    def __post_init__(self) -> None:
+        centre = np.asarray(self.centre, dtype=np.float64)
+        if centre.shape != (3,) or not np.isfinite(centre).all():
+            raise InputError(f"a symmetry's centre must be three numbers [m], got {self.centre!r}")
+        rotations = np.asarray(self.rotations, dtype=np.float64)
+        if rotations.ndim != 3 or len(rotations) == 0:
+            raise InputError(
+                "a symmetry's rotations must be 4x4 transforms, shape (k, 4, 4), beginning with "
+                f"the identity; got shape {rotations.shape}"
+            )
+        rotations = np.stack([se3.check_rigid(T, "a symmetry's rotation") for T in rotations])
+        if not np.allclose(rotations[0], np.eye(4)):
+            raise InputError("the first of a symmetry's rotations must be the identity")
+        object.__setattr__(self, "centre", centre)
+        object.__setattr__(self, "rotations", rotations)
+        if self.axis is not None:
+            axis = np.asarray(self.axis, dtype=np.float64)
+            length = np.linalg.norm(axis)
+            if axis.shape != (3,) or not (np.isfinite(length) and length > 0):
+                raise InputError(f"a symmetry's axis must be a direction (3,), got {self.axis!r}")
+            object.__setattr__(self, "axis", axis / length)
 
     @classmethod
     def none(cls, centre: Array) -> "Symmetry":
@@ -227,10 +254,11 @@ def _sphere(centre: Array) -> Symmetry:
 
 
 def _axial(matcher: _SelfMatcher, centre: Array, axis: Array) -> Symmetry:
-    """Continuous symmetry, with the flip of the axis if it is one too."""
+    """Continuous symmetry, with the flip of the axis if it is one too, in every direction."""
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     T = rotations_about(centre, across / np.linalg.norm(across), [0, np.pi])
-    return Symmetry(centre, axis, T[matcher.fits(T)])
+    flips = rotations_about(centre, axis, CONTINUOUS_TEST_ANGLES) @ T[1]
+    return Symmetry(centre, axis, T if matcher.fits(flips).all() else T[:1])
 
 
 def _finite(matcher: _SelfMatcher, centre: Array, axes: Array) -> Symmetry:

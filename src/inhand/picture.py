@@ -53,7 +53,7 @@ class Window:
     def around(cls, shown: NDArray[np.bool_]) -> "Window":
         """The window around the marked pixels of an image, shape (H, W); around all if none is."""
         v, u = np.nonzero(shown if shown.any() else np.ones_like(shown))
-        side = float(max(np.ptp(u) + 1, np.ptp(v) + 1, _SMALLEST_WINDOW))
+        side = float(max(int(np.ptp(u)) + 1, int(np.ptp(v)) + 1, _SMALLEST_WINDOW))
         if shown.any():
             side *= 1 + 2 * _WINDOW_MARGIN
         return cls((u.min() + u.max() - side) / 2, (v.min() + v.max() - side) / 2, side)
@@ -233,8 +233,10 @@ def _draw_axes(
 def _residual_panel(scene: _Scene, window: Window, depth: NDArray[np.float32]) -> Image.Image:
     residual = scene.residual(depth)
     known = np.isfinite(residual)
-    pixels = np.full((*residual.shape, 3), _PAPER, dtype=np.uint8)
-    pixels[scene.labels >= 0] = (80, 80, 88)
+    # What the estimate does not explain stays dimly visible around it.
+    dim = 0.35 * grey_depth(depth, depth[scene.labels >= 0]).astype(float)
+    pixels = np.where(depth[..., None] > 0, dim, _PAPER).astype(np.uint8)
+    pixels[scene.labels >= 0] = (100, 85, 100)
     pixels[known] = residual_colours(residual[known])
     shown = window.cut(pixels, _PAPER)
     labels = scene.render(window.camera(scene.camera))[1]

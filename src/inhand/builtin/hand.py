@@ -31,7 +31,7 @@ from inhand.builtin.shapes import (
 from inhand.geometry.mesh import TriangleMesh, concatenate, transformed
 
 # Sizes in millimetres.
-AXIS_X = 34.0
+AXIS_X = 38.0
 """Distance of the proximal joint axes from the middle of the palm."""
 AXIS_Z = 96.0
 """Height of the proximal joint axes above the mounting face."""
@@ -107,10 +107,7 @@ def palm() -> TriangleMesh:
         # The connector is on one side only: the two sides of the palm can be told apart.
         transformed(plug, _facing_y(+1, (-20, 26, 27))),
     ]
-    ear_outline = slot((AXIS_X - 1, 76), (AXIS_X, AXIS_Z), 10.5, 8)
-    ears = [_upright(bevelled(ear_outline, -3, 3, 0.8), y) for y in (-16.5, 16.5)]
-    mount = concatenate([*ears, _upright(_pin(4.2, 43), x=AXIS_X, z=AXIS_Z)])
-    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    mount, half_turn = _finger_mount(), np.diag([-1.0, -1.0, 1.0, 1.0])
     return concatenate([flange, neck, housing, pad, *sides, mount, transformed(mount, half_turn)])
 
 
@@ -149,6 +146,13 @@ def distal() -> TriangleMesh:
             _upright(_pulley(7.2, 3), 5.7),
         ]
     )
+
+
+def _finger_mount() -> TriangleMesh:
+    """The two ears and the axle that carry the finger at +x [mm], palm frame."""
+    outline = slot((AXIS_X - 4, 76), (AXIS_X, AXIS_Z), 9.5, 7)
+    ears = [_upright(bevelled(outline, -3, 3, 0.8), y) for y in (-16.5, 16.5)]
+    return concatenate([*ears, _upright(_pin(4, 43), x=AXIS_X, z=AXIS_Z)])
 
 
 def _pad_outline(back: float, front: float, low: float, high: float) -> Array:

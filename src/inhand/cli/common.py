@@ -25,7 +25,7 @@ def load_kernels(device: str, console: "Console") -> None:
     """Load all kernels under one progress line; the first time on a machine compiles them."""
     from inhand.kernels.launch import load_all_kernels
 
-    with console.status("Loading kernels (the first time compiles them: about a minute)"):
+    with console.status("Loading kernels (the first time compiles them: some ten seconds)"):
         load_all_kernels(device)
 
 
@@ -49,6 +49,6 @@ def print_estimate(estimate: "PoseEstimate", console: "Console") -> None:
     if estimate.joint_positions:
         joints = estimate.joint_positions.items()
         table.add_row("joints", "\n".join(f"{degrees(q):7.1f} deg  {name}" for name, q in joints))
-    times = ", ".join(f"{stage} {1000 * t:.0f}" for stage, t in estimate.timings.items())
-    table.add_row("time [ms]", f"{1000 * sum(estimate.timings.values()):.0f} ({times})")
+    times = " + ".join(f"{stage} {1000 * t:.0f}" for stage, t in estimate.timings.items())
+    table.add_row("time [ms]", f"{1000 * sum(estimate.timings.values()):.0f} = {times}")
     console.print(table, highlight=False)

@@ -40,7 +40,7 @@ def run(args: Demo) -> int:
     device = resolve_device(args.device)
     load_kernels(device, console)
     with console.status("Making the scene"):
-        scene = demo_scene()
+        scene = demo_scene(device)
     estimator = PoseEstimator(scene.hand, scene.obj, device=device)
     estimate = estimator.estimate(scene.depth, scene.camera, scene.T_camera_hand_given)
     print_estimate(estimate, console)

@@ -30,7 +30,7 @@ class Estimate:
     rgb: Path | None = None
     """Colour image with the same pixels as the depth image, for the picture."""
     unit: str = "m"
-    """Unit of the object's mesh, such as m or mm."""
+    """Unit of the object's mesh: m, cm, mm or inch."""
     package_paths: dict[str, Path] = field(default_factory=dict)
     """Folders of ROS packages that the URDF names: NAME FOLDER, repeated."""
     preset: Preset = "default"

@@ -180,7 +180,8 @@ def print_summary(summary: Summary, console: Console) -> None:
 def _percent(share: Mapping[str, Any]) -> str:
     if share["share"] is None:
         return "-"
-    return f"{share['share']:.0%} ({share['low']:.0%}-{share['high']:.0%})"
+    low, high = 100 * share["low"], 100 * share["high"]
+    return f"{share['share']:.0%} ({low:.0f}-{high:.0f})"
 
 
 def _recall_table(recall: Mapping[str, Any]) -> Table:

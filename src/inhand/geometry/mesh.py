@@ -63,11 +63,17 @@ class TriangleMesh:
         return np.stack([used.min(axis=0), used.max(axis=0)])
 
     @cached_property
+    def hull_vertices(self) -> NDArray[np.float64]:
+        """Vertices of the convex hull [m], shape (k, 3); of a flat mesh, every vertex."""
+        points = self.vertices[np.unique(self.faces)]
+        with suppress(QhullError):  # flat
+            points = points[ConvexHull(points).vertices]
+        return points
+
+    @cached_property
     def diameter(self) -> float:
         """Largest distance between two vertices [m]."""
-        points = self.vertices[np.unique(self.faces)]
-        with suppress(QhullError):  # a flat mesh has no hull: every vertex counts
-            points = points[ConvexHull(points).vertices]
+        points = self.hull_vertices
         chunks = (points[i : i + 500] for i in range(0, len(points), 500))
         return float(max(cdist(chunk, points).max() for chunk in chunks))
 

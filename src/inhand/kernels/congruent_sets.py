@@ -190,6 +190,18 @@ def pair_up(
             ratios[i] = r
 
 
+@wp.func
+def even_choice(rank: int, total: int, limit: int):
+    """Place of element `rank` of `total` among `limit` evenly chosen ones, -1 if it is not one."""
+    if total <= limit:
+        return rank
+    place = (wp.int64(rank) * wp.int64(limit)) / wp.int64(total)
+    before = (wp.int64(rank - 1) * wp.int64(limit)) / wp.int64(total)
+    if rank > 0 and before == place:
+        return -1
+    return int(place)
+
+
 @wp.kernel
 def find_pairs(
     points: wp.array(dtype=wp.vec3),
@@ -200,6 +212,7 @@ def find_pairs(
     tolerance: float,
     angle_tolerance: float,
     spread: float,
+    limit: int,
     start: wp.array(dtype=int),
     count: wp.array(dtype=int),
     pair: wp.array(dtype=int),
@@ -208,7 +221,8 @@ def find_pairs(
 ):
     """One work item a base's pair: the model's pairs like it, with their intermediate points.
 
-    Item i is pair i // n of base i % n, for n bases. Only counts while `pair` is empty.
+    Item i is pair i // n of base i % n, for n bases. Only counts while `pair` is empty. Otherwise an
+    even choice of `limit` pairs is stored, and `count` must hold the numbers found.
 
     Args (beyond the obvious):
         tolerance: of the pair's length [m].
@@ -261,8 +275,10 @@ def find_pairs(
                     ):
                         continue
                     if pair.shape[0] > 0:
-                        pair[start[i] + found] = k
-                        middle[start[i] + found] = p + ratio * (q - p) + shift
+                        place = even_choice(found, count[i], limit)
+                        if place >= 0:
+                            pair[start[i] + place] = k
+                            middle[start[i] + place] = p + ratio * (q - p) + shift
                     found += 1
     count[i] = found
 
@@ -338,27 +354,8 @@ def match_pairs(
         if wp.abs(same - side) > angle_tolerance:
             continue
         if sets.shape[0] > 0:
-            store_evenly(
-                sets,
-                set_start[base],
-                rank[i] + found,
-                total[base],
-                limit,
-                wp.vec4i(q0, q1, q2, q3),
-            )
+            place = even_choice(rank[i] + found, total[base], limit)
+            if place >= 0:
+                sets[set_start[base] + place] = wp.vec4i(q0, q1, q2, q3)
         found += 1
     count[i] = found
-
-
-@wp.func
-def store_evenly(
-    sets: wp.array(dtype=wp.vec4i), start: int, rank: int, total: int, limit: int, value: wp.vec4i
-):
-    """Store the set number `rank` of `total` if it is one of `limit` evenly chosen ones."""
-    if total <= limit:
-        sets[start + rank] = value
-        return
-    place = (wp.int64(rank) * wp.int64(limit)) / wp.int64(total)
-    before = (wp.int64(rank - 1) * wp.int64(limit)) / wp.int64(total)
-    if rank == 0 or before < place:
-        sets[start + int(place)] = value

@@ -85,6 +85,7 @@ def score_configurations(
     fixed_depth: wp.array(dtype=float),
     fixed_step: int,
     score: wp.array(dtype=float),
+    seen: wp.array(dtype=float),
     first: int,
 ):
     """One work item a configuration: mean judgement of its camera-facing surface samples.
@@ -95,9 +96,11 @@ def score_configurations(
         fixed_depth: rendered depth [m] of the parts that do not move, at every `fixed_step`-th
             pixel; what they hide is left out.
         score: out, mean judgement weighted by the projected area.
+        seen: out, share of the projected area that nothing hides.
     """
     c = first + wp.tid()
     total = float(0.0)
+    open_area = float(0.0)
     area = float(1.0e-6)
     for s in range(samples.shape[0]):
         i = samples[s]
@@ -114,8 +117,12 @@ def score_configurations(
         hidden_by = fixed_depth[coarse_pixel(view.camera.width, fixed_step, pixel)]
         if hidden_by > 0.0 and hidden_by < p[2] - rule.tolerance:
             continue
+        d = view.depth[pixel]
+        if d <= 0.0 or d > p[2] - rule.tolerance:
+            open_area += facing
         total += facing * judge_point(view, rule, p, n, pixel)
     score[c] = total / area
+    seen[c] = open_area / area
 
 
 @wp.func

@@ -1,14 +1,19 @@
 """The one seam between kernels and devices: how a launch is spread over CPU cores or a GPU."""
 
+import importlib
 import os
-from collections.abc import Sequence
+import pkgutil
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 
 import warp as wp
 
-wp.config.quiet = True
+import inhand.kernels
+from inhand.errors import InputError
+
+wp.config.log_level = wp.LOG_ERROR
 wp.config.enable_backward = False
 
 # Handing a slice to a pool thread costs about 0.15 ms, so only long launches are sliced.
@@ -69,8 +74,6 @@ def resolve_device(device: str | None) -> str:
     Raises:
         InputError: the device does not exist on this machine.
     """
-    from inhand.errors import InputError
-
     wp.init()
     if device is None:
         return "cuda:0" if wp.is_cuda_available() else "cpu"
@@ -79,3 +82,19 @@ def resolve_device(device: str | None) -> str:
     except Exception as error:
         known = ", ".join(str(d) for d in wp.get_devices())
         raise InputError(f'there is no device "{device}" here; available: {known}') from error
+
+
+def load_all_kernels(device: str, progress: Callable[[str], None] = lambda name: None) -> None:
+    """Compile or load every kernel for `device`, so that no later call has to.
+
+    Args:
+        device: Warp device name.
+        progress: called with the name of every kernel module before it is compiled.
+    """
+    modules = sorted(m.name for m in pkgutil.iter_modules(inhand.kernels.__path__))
+    for name in modules:
+        module = importlib.import_module(f"inhand.kernels.{name}")
+        if any(isinstance(value, wp.Kernel) for value in vars(module).values()):
+            progress(name)
+            block = 1 if device == "cpu" else 256
+            wp.get_module(module.__name__).load(wp.get_device(device), block_dim=block)

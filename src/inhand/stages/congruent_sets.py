@@ -65,10 +65,11 @@ def generate_from_congruent_sets(
             "is it the right object, in the right unit?"
         )
     poses = search.align(bases, sets)
+    stride = -(-len(segment.points) // config.lcp_points)
     score = pose_lcp(
         poses,
-        segment.points,
-        segment.normals,
+        segment.points[::stride],
+        segment.normals[::stride],
         obj.fields,
         config.lcp_distance,
         config.lcp_normal_angle,
@@ -165,23 +166,23 @@ class CongruentSetSearch:
     def _find_pairs(
         self, base: Any, ratios: NDArray[np.float32]
     ) -> tuple[NDArray[np.int32], Any, Any]:
-        """The model's pairs that are like the first, then the second pair of every base.
+        """Model pairs like the first pair of every base, then like the second; an even choice.
 
         Returns:
             their number for every pair of a base, shape (2 b,), their index in the pair table, and
             their intermediate points.
         """
-        count = self._empty(2 * len(base), int)
+        count, limit = self._empty(2 * len(base), int), self.config.max_pairs_per_base
         ratio = wp.array(ratios, dtype=wp.vec2, device=self.device)
 
         def find(start: Any, pair: Any, middle: Any) -> None:
             tolerances = [self.config.congruence, self.config.congruence_angle]
             inputs = [self.points, self.normals, base, ratio, self.model, *tolerances]
-            inputs += [self.diameter, self._ints(start), count, pair, middle]
+            inputs += [self.diameter, limit, self._ints(start), count, pair, middle]
             launch(find_pairs, len(count), inputs, self.device, work_per_item=5000)
 
         find([], self._empty(0, int), self._empty(0, wp.vec3))
-        counts = count.numpy().copy()
+        counts = np.minimum(count.numpy(), limit)
         pair = self._empty(int(counts.sum()), int)
         middle = self._empty(len(pair), wp.vec3)
         find(_starts(counts), pair, middle)

@@ -49,7 +49,10 @@ def gather_evidence(
     e.rule = Visibility()
     e.rule.tolerance, e.rule.violation = config.tolerance, config.violation
     e.rule.missing, e.rule.hidden = config.missing, config.hidden
-    e.hand_depth = hand.renderer.render_on_device(coarse, hand_state.T_camera_link)[0]
+    visible = hand_state.T_camera_link.copy()
+    # What the image does not support must not explain it: such links are put behind the camera.
+    visible[~hand_state.certain, 2, 3] = -10.0
+    e.hand_depth = hand.renderer.render_on_device(coarse, visible)[0]
     e.hand_step = config.hand_step
     # A fixed shuffle makes every strided subset an even sample of the segment.
     order = np.random.default_rng(0).permutation(len(segment.points))

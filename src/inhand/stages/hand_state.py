@@ -32,6 +32,8 @@ class HandState:
     """Pose of the hand's root link in the camera, shape (4, 4)."""
     T_camera_link: Array
     """Poses of the links that have geometry, shape (L, 4, 4)."""
+    certain: NDArray[np.bool_]
+    """Whether the image supports each link where it is, shape (L,); palm links always count."""
 
 
 def estimate_hand_state(
@@ -69,12 +71,18 @@ def estimate_hand_state(
     q, poses = fit.refine(starts, np.repeat(T[None], len(starts), 0), widths)
     q, T = search.best_combination(q, poses, palm)
     refined, poses = fit.refine(q[None], T[None], np.full(4, config.last_width))
-    return make_state(hand, refined[0], poses[0])
+    support = search.link_support(refined[0], poses[0], palm)
+    return make_state(hand, refined[0], poses[0], support > config.certain_support)
 
 
-def make_state(hand: PackedHand, q: Array, T_camera_hand: Array) -> HandState:
+def make_state(
+    hand: PackedHand, q: Array, T_camera_hand: Array, certain: NDArray[np.bool_] | None = None
+) -> HandState:
     """The hand state at joint vector `q` (n,) and a wrist pose (4, 4)."""
-    return HandState(q, T_camera_hand, hand.link_poses(q[None], T_camera_hand[None])[0])
+    poses = hand.link_poses(q[None], T_camera_hand[None])[0]
+    if certain is None:
+        certain = np.ones(len(poses), dtype=bool)
+    return HandState(q, T_camera_hand, poses, certain)
 
 
 def _starts(alternatives: list[Array], hand: PackedHand) -> Array:
@@ -127,7 +135,7 @@ class _FingerSearch:
         hand = self.hand.hand
         q = np.repeat(np.clip(np.zeros((1, len(hand.lower))), hand.lower, hand.upper), len(tried), 0)
         q[:, list(finger.joints)] = tried
-        return self._score(finger, q, np.repeat(T_camera_hand[None], len(q), 0), palm, tolerance)
+        return self._score(finger.links, q, np.repeat(T_camera_hand[None], len(q), 0), palm, tolerance)[0]
 
     def best_combination(
         self, q: Array, T_camera_hand: Array, palm: Any
@@ -135,32 +143,45 @@ class _FingerSearch:
         """Every finger's best joints among refined starts (s, n), and the wrist of the best start."""
         combined, total = q[0].copy(), np.zeros(len(q))
         for finger in self.hand.hand.fingers:
-            score = self._score(finger, q, T_camera_hand, palm, self.config.fine_tolerance)
+            score = self._score(finger.links, q, T_camera_hand, palm, self.config.fine_tolerance)[0]
             joints = list(finger.joints)
             combined[joints] = q[score.argmax()][joints]
             total += score
         return combined, T_camera_hand[total.argmax()]
 
+    def link_support(self, q: Array, T_camera_hand: Array, palm: Any) -> Array:
+        """Score of every link per share of it that nothing hides, shape (L,); 1 for palm links."""
+        support = np.ones(len(self.hand.hand.links))
+        for finger in self.hand.hand.fingers:
+            for link in finger.links:
+                score, seen = self._score(
+                    (link,), q[None], T_camera_hand[None], palm, self.config.fine_tolerance
+                )
+                support[link] = score[0] / max(float(seen[0]), self.config.min_seen)
+        return support
+
     def _score(
-        self, finger: Finger, q: Array, T_camera_hand: Array, palm: Any, tolerance: float
-    ) -> Array:
+        self, links: tuple[int, ...], q: Array, T_camera_hand: Array, palm: Any, tolerance: float
+    ) -> tuple[Array, Array]:
+        """Visibility score of some links and the share of them that nothing hides, (c,) each."""
         hand, device, config = self.hand, self.hand.device, self.config
         rule = Visibility()
         rule.tolerance, rule.violation = tolerance, config.violation
         rule.missing, rule.hidden = config.missing, config.hidden
-        ranges = [np.arange(*hand.point_start[[i, i + 1]]) for i in finger.links]
+        ranges = [np.arange(*hand.point_start[[i, i + 1]]) for i in links]
         samples = wp.array(np.concatenate(ranges), dtype=int, device=device)
         poses = device_poses(hand.link_poses(q, T_camera_hand), device)
         score = wp.empty(len(q), dtype=float, device=device)
+        seen = wp.empty(len(q), dtype=float, device=device)
         launch(
             score_configurations,
             len(q),
             [self.view, rule, poses, len(hand.hand.links), hand.points, hand.normals, hand.link]
-            + [samples, palm, PALM_STEP, score],
+            + [samples, palm, PALM_STEP, score, seen],
             device,
             work_per_item=len(samples),
         )
-        return score.numpy().astype(np.float64)
+        return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)
 
     def render_palm(self, T_camera_hand: Array) -> Any:
         """Depth of the palm alone [m], on the device."""

@@ -14,7 +14,7 @@ from inhand.hand import Finger
 from inhand.kernels.launch import launch
 from inhand.kernels.lcp import SceneCloud, match_finger_points
 from inhand.packed import PackedHand, device_poses
-from inhand.stages.hand_state import HandState
+from inhand.stages.hand_state import HandState, make_state
 from inhand.stages.observation import Observation
 from inhand.stages.wrist import Wrist
 
@@ -39,7 +39,7 @@ def search_fingers(
         finger_cost = partial(cost, finger, q, placed)
         q[joints] = minimise(finger_cost, model.lower[joints], model.upper[joints], config, rng)
         placed += finger.links
-    return HandState(q, T, hand.link_poses(q[None], T[None])[0])
+    return make_state(hand, q, T)
 
 
 def minimise(

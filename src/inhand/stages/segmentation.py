@@ -45,13 +45,18 @@ def segment_object(
     Raises:
         NoAnswer: too few points are left.
     """
-    distance, _ = distances_to_hand(observation.points, hand_state, hand, 2 * object_diameter)
+    farthest = 2 * object_diameter
+    everything = np.ones(len(hand.hand.links), dtype=bool)
+    distance = distances_to_hand(observation.points, hand_state, hand, everything, farthest)[0]
     if config.method == "threshold":
         weight = (distance >= config.hand_distance).astype(np.float32)
     else:
-        span = config.certain_distance - config.hand_distance
-        weight = np.clip((distance - config.hand_distance) / span, 0, 1).astype(np.float32)
-        weight = np.maximum(weight, np.where(distance > config.hand_distance, 0.1, 0.0))
+        weight = _not_hand(distance, config)
+        distance = distances_to_hand(
+            observation.points, hand_state, hand, hand_state.certain, farthest
+        )[0]
+        share = config.uncertain_weight
+        weight = _not_hand(distance, config) * (share + (1 - share) * weight)
     weight[distance > object_diameter + config.certain_distance] = 0.0
     keep = weight > 0
     if weight.sum() < config.min_points:
@@ -67,10 +72,21 @@ def segment_object(
     )
 
 
+def _not_hand(distance: NDArray[np.float32], config: SegmentationConfig) -> NDArray[np.float32]:
+    """Probability that points at these distances to the hand are not the hand's."""
+    span = config.certain_distance - config.hand_distance
+    weight = np.clip((distance - config.hand_distance) / span, 0.1, 1)
+    return np.where(distance > config.hand_distance, weight, 0.0).astype(np.float32)
+
+
 def distances_to_hand(
-    points: NDArray[np.float32], hand_state: HandState, hand: PackedHand, farthest: float
+    points: NDArray[np.float32],
+    hand_state: HandState,
+    hand: PackedHand,
+    links: NDArray[np.bool_],
+    farthest: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Signed distances (n,) [m] of points (n, 3) to the posed hand, and their gradients (n, 3)."""
+    """Signed distances (n,) [m] of points (n, 3) to some links, and their gradients (n, 3)."""
     device, n = hand.device, len(points)
     distance = wp.empty(n, dtype=float, device=device)
     gradient = wp.empty(n, dtype=wp.vec3, device=device)
@@ -83,7 +99,7 @@ def distances_to_hand(
             hand.fields,
             hand.spheres,
             device_poses(hand_state.T_camera_link, device),
-            wp.full(len(hand.hand.links), 1, dtype=int, device=device),
+            wp.array(links.astype(np.int32), dtype=int, device=device),
             farthest,
             distance,
             gradient,

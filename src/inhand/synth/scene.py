@@ -165,7 +165,7 @@ def render_scene(
     meanings = [HAND] * len(hand.links) + [OBJECT, BACKGROUND, NOTHING]
     label = np.array(meanings, dtype=np.uint8)[index]  # index -1, no hit, is the last
     _, alone = DepthRenderer([obj.mesh], device).render(camera, T_camera_object[None])
-    silhouette = max(np.count_nonzero(alone >= 0), 1)
+    shown, silhouette = np.count_nonzero(label == OBJECT), np.count_nonzero(alone >= 0)
     return Scene(
         hand=hand,
         obj=obj,
@@ -176,7 +176,7 @@ def render_scene(
         joint_positions=hand.joint_dict(grasp.q),
         depth=depth,
         label=label,
-        visible_share=np.count_nonzero(label == OBJECT) / silhouette,
+        visible_share=shown / silhouette if silhouette else 0.0,
     )
 
 

@@ -208,7 +208,7 @@ def _in_projector_shadow(depth: Image, camera: Camera, baseline: float) -> NDArr
     narrow object breaks the order and counts as dark, as it does for real matchers.)
     """
     u = np.arange(depth.shape[1])
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         column = np.where(depth > 0, u - camera.fx * baseline / depth, np.inf)
     earliest_from_right = np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]
     return np.asarray((depth > 0) & (column > earliest_from_right))
