@@ -18,9 +18,8 @@ from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
 from inhand.packed import PackedHand, PackedObject
-from inhand.stages.hand_state import HandState, make_state
 from inhand.stages.observation import Observation, observe
-from inhand.stages.segmentation import Segment
+from inhand.stages.results import HandState, Segment
 
 CAMERA = Camera(fx=500, fy=500, cx=159.5, cy=119.5, width=320, height=240)
 Q = np.array([1.2, 0.5, 1.0, 0.7])
@@ -61,11 +60,12 @@ def held_object(name: str) -> HeldObject:
     # The hand's z axis, out of the palm, is up in the image; its y axis points at the camera.
     T_camera_hand = np.eye(4)
     T_camera_hand[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    T_camera_hand[:3, 3] = [0, 0.12, 0.5]
+    T_camera_hand[:3, 3] = [0.03, 0.09, 0.5]
     T_camera_hand = T_camera_hand @ exp(np.array([0.5, -0.3, 0.4, 0, 0, 0]))
     T_hand_object = exp(np.array([0.3, 1.1, -0.4, 0.002, -0.01, 0.15]))
     T_camera_object = T_camera_hand @ T_hand_object
-    state = make_state(hand, Q, T_camera_hand)
+    poses = hand.link_poses(Q[None], T_camera_hand[None])[0]
+    state = HandState(Q, T_camera_hand, poses, np.ones(len(poses), dtype=bool))
     meshes = [*(link.mesh for link in hand.hand.links), obj.model.mesh]
     depth, label = DepthRenderer(meshes).render(
         CAMERA, np.concatenate([state.T_camera_link, T_camera_object[None]])

@@ -52,7 +52,9 @@ class Camera:
                 f"image size must be whole positive numbers, got {self.width} x {self.height}"
             )
         if not 0 < self.depth_unit <= 1:
-            raise InputError(f"depth_unit is metres per count (0.001 for mm), got {self.depth_unit}")
+            raise InputError(
+                f"depth_unit is metres per count (0.001 for mm), got {self.depth_unit}"
+            )
 
     def check_plausible(self) -> None:
         """Raise InputError when the intrinsics cannot belong to a whole image of this size."""
@@ -70,9 +72,7 @@ class Camera:
             )
 
     @classmethod
-    def from_matrix(
-        cls, K: Any, *, width: int, height: int, depth_unit: float = 0.001
-    ) -> "Camera":
+    def from_matrix(cls, K: Any, *, width: int, height: int, depth_unit: float = 0.001) -> "Camera":
         """Camera from a 3x3 intrinsic matrix `K` [pixel].
 
         Raises:
@@ -81,7 +81,9 @@ class Camera:
         try:
             matrix = np.array(K, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"K must be a 3x3 matrix of numbers, got {type(K).__name__}") from error
+            raise InputError(
+                f"K must be a 3x3 matrix of numbers, got {type(K).__name__}"
+            ) from error
         if matrix.shape != (3, 3):
             raise InputError(f"K must be a 3x3 intrinsic matrix, got shape {matrix.shape}")
         if not np.isfinite(matrix).all():
@@ -134,9 +136,7 @@ class Camera:
 
     def crop(self, u0: int, v0: int, width: int, height: int) -> "Camera":
         """The camera of the image window that starts at pixel (u0, v0)."""
-        return Camera(
-            self.fx, self.fy, self.cx - u0, self.cy - v0, width, height, self.depth_unit
-        )
+        return Camera(self.fx, self.fy, self.cx - u0, self.cy - v0, width, height, self.depth_unit)
 
     def subsampled(self, step: int) -> "Camera":
         """The camera of the image made of every `step`-th pixel, `depth[::step, ::step]`."""

@@ -91,6 +91,8 @@ class HandStateConfig:
     """A finger link that scores less, per share of it that nothing hides, is not relied on."""
     min_seen: float = 0.07
     """Shares that nothing hides count as this at least."""
+    render_step: int = 2
+    """The palm and the other fingers are rendered at every so-many-th pixel."""
     particles: int = 15
     """Particles of the swarm. Paper: 15."""
     generations: int = 3
@@ -131,18 +133,30 @@ class EvidenceConfig:
 
     hand_step: int = 2
     """The hand is rendered at every so-many-th pixel."""
-    tolerance: float = 0.006
-    """Depth agreement of a model point with its pixel [m]."""
-    violation: float = 1.0
+    violation: float = 1.5
     """Penalty of a model point that the camera looked through, in units of one that agrees."""
     missing: float = 0.4
     """Penalty of a model point in the middle of an area without readings."""
-    hidden: float = 0.3
+    hidden: float = 0.5
     """Penalty of a model point behind a reading that the hand does not explain."""
     near: float = 0.004
     """A segment point this near to the model's surface is explained [m]."""
     share_weight: float = 0.7
     """Weight of the explained share of the segment against the visible share of the model."""
+    contact_points: int = 128
+    """Model points that are held against the hand."""
+    free_penetration: float = 0.003
+    """Penetration of the hand that model errors explain [m]."""
+    penetration_scale: float = 0.010
+    """Penetration beyond that costs one agreeing surface per this length [m]."""
+    free_gap: float = 0.005
+    """Gap between object and hand that model errors explain [m]."""
+    uncertain_gap: float = 0.040
+    """The same while the place of some link is unknown [m]."""
+    gap_scale: float = 0.030
+    """A gap beyond that costs one agreeing surface per this length [m]."""
+    max_contact_penalty: float = 1.0
+    """Penalty of penetration or gap at most."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +175,8 @@ class HypothesesConfig:
     """`pairs`: shortest wanted pair, in object diameters."""
     max_width: float = 0.9
     """`pairs`: longest wanted pair, in object diameters."""
+    tolerance: float = 0.006
+    """`pairs`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 48
     """`pairs`: model points in the first scoring."""
     segment_points: int = 48
@@ -201,6 +217,8 @@ class ClusteringConfig:
     """`se3`: the paper's, Euclidean then geodesic; `distinct`: greedy by score."""
     shortlist: int = 2000
     """`distinct`: hypotheses scored again."""
+    tolerance: float = 0.006
+    """`distinct`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 200
     """`distinct`: model points in that scoring."""
     segment_points: int = 200
@@ -255,7 +273,7 @@ class PruningConfig:
 
     method: Literal["none", "physics"] = "none"
     """`physics`: the paper's gates; `none`: left to the likelihood."""
-    max_penetration: float = 0.010
+    max_penetration: float = 0.012
     """Object poses deeper in the hand than this are rejected [m]."""
     max_gap: float = 0.010
     """Object poses farther from the hand than this do not touch it and are rejected [m]."""
@@ -279,6 +297,8 @@ class SelectionConfig:
     """LCP: a segment point nearer than this to the model counts [m]."""
     lcp_normal_angle: float = 0.5236
     """LCP: and whose normal differs by less than this [rad]."""
+    tolerance: float = 0.004
+    """`likelihood`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 800
     """`likelihood`: model points used."""
     segment_points: int = 800

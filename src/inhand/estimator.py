@@ -19,15 +19,15 @@ from inhand.object_model import ObjectModel
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import cluster
 from inhand.stages.evidence import gather_evidence
-from inhand.stages.hand_state import HandState, estimate_hand_state
+from inhand.stages.hand_state import estimate_hand_state
 from inhand.stages.hypotheses import generate_hypotheses
 from inhand.stages.observation import Observation, observe
-from inhand.stages.poses import PoseSet
 from inhand.stages.pruning import prune
 from inhand.stages.refinement import refine
-from inhand.stages.segmentation import Segment, segment_object
-from inhand.stages.selection import Selection, select
-from inhand.stages.wrist import Wrist, fit_wrist
+from inhand.stages.results import HandState, PoseSet, Segment, Selection, Wrist
+from inhand.stages.segmentation import segment_object
+from inhand.stages.selection import select
+from inhand.stages.wrist import fit_wrist
 
 Result = TypeVar("Result")
 
@@ -139,9 +139,7 @@ class PoseEstimator:
         clustered = clock.time("clustering", cluster, hypotheses, evidence, obj, c.clustering)
         yield (r := replace(r, clustered=clustered))
 
-        refined = clock.time(
-            "refinement", refine, clustered, segment, evidence, obj, c.refinement
-        )
+        refined = clock.time("refinement", refine, clustered, segment, evidence, obj, c.refinement)
         yield (r := replace(r, refined=refined))
 
         pruned = clock.time("pruning", prune, refined, state, hand, obj, c.pruning)

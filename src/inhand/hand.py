@@ -139,6 +139,11 @@ class Hand:
             _frames=build_chain(robot, frame_names),
         )
 
+    @property
+    def rest(self) -> Array:
+        """The joint vector nearest to zero within the limits [rad, m], shape (n,)."""
+        return np.asarray(np.clip(0.0, self.lower, self.upper))
+
     def forward_kinematics(self, q: ArrayLike) -> Array:
         """Poses T_hand_link of `links`, shape (L, 4, 4) or (b, L, 4, 4).
 

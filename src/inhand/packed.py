@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from inhand.camera import Camera
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer, bounding_sphere
 from inhand.kernels.fields import pack_fields
@@ -50,6 +51,15 @@ class PackedHand:
         """T_camera_link, shape (b, L, 4, 4), at joint vectors (b, n) and wrist poses (b, 4, 4)."""
         return np.asarray(T_camera_hand[:, None] @ self.hand.forward_kinematics(q))
 
+    def render(
+        self, camera: Camera, T_camera_link: NDArray[np.float64], shown: NDArray[np.bool_]
+    ) -> Any:
+        """Depth image [m] of the links that are `shown` (L,), flat, on the device."""
+        poses = T_camera_link.copy()
+        # No ray meets a link that is put behind the camera.
+        poses[~shown, :3, 3] = [0.0, 0.0, -10.0]
+        return self.renderer.render_on_device(camera, poses)[0]
+
 
 class PackedObject:
     """An object on a device.
@@ -79,5 +89,3 @@ def device_poses(T: NDArray[Any], device: str) -> Any:
     """Transforms of shape (..., 4, 4) as a flat Warp array of `wp.mat44`."""
     flat = np.ascontiguousarray(T, dtype=np.float32).reshape(-1, 4, 4)
     return wp.array(flat, dtype=wp.mat44, device=device)
-
-

@@ -25,8 +25,9 @@ def load_kernels(device: str, console: "Console") -> None:
     """Load all kernels under one progress line; the first time on a machine compiles them."""
     from inhand.kernels.launch import load_all_kernels
 
-    with console.status("Loading kernels (the first time compiles them: some ten seconds)"):
-        load_all_kernels(device)
+    text = "Loading kernels (the first time compiles them: some ten seconds)"
+    with console.status(text) as line:
+        load_all_kernels(device, lambda name: line.update(f"{text}: {name}"))
 
 
 def print_estimate(estimate: "PoseEstimate", console: "Console") -> None:

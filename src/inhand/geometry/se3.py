@@ -19,7 +19,9 @@ def check_rigid(T: Any, name: str) -> Array:
     try:
         matrix = np.array(T, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be a 4x4 matrix of numbers, got {type(T).__name__}") from error
+        raise InputError(
+            f"{name} must be a 4x4 matrix of numbers, got {type(T).__name__}"
+        ) from error
     if matrix.shape != (4, 4):
         raise InputError(f"{name} must be a 4x4 homogeneous matrix, got shape {matrix.shape}")
     if not np.isfinite(matrix).all():

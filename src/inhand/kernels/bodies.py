@@ -18,9 +18,9 @@ def nearest_body(
     p: wp.vec3,
     farthest: float,
 ):
-    """Signed distance [m] and unit gradient, world frame, of the nearest body at point `p`.
+    """Signed distance [m], unit gradient, world frame, and index of the body nearest to point `p`.
 
-    Distances from `farthest` on are cut off there, with a zero gradient.
+    Distances from `farthest` on are cut off there, with a zero gradient and index -1.
 
     Args (beyond the obvious):
         spheres: bounding sphere of every body, body frame (centre, radius) [m].
@@ -28,6 +28,7 @@ def nearest_body(
         used: per body, from `first_used` on; 0 leaves it out.
     """
     best = farthest
+    nearest = int(-1)
     gradient = wp.vec3(0.0, 0.0, 0.0)
     for body in range(spheres.shape[0]):
         if used[first_used + body] == 0:
@@ -42,5 +43,6 @@ def nearest_body(
         value = field_at(fields, body, local)
         if value[0] < best:
             best = value[0]
+            nearest = body
             gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
-    return best, gradient
+    return best, gradient, nearest

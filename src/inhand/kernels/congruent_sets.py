@@ -221,8 +221,8 @@ def find_pairs(
 ):
     """One work item a base's pair: the model's pairs like it, with their intermediate points.
 
-    Item i is pair i // n of base i % n, for n bases. Only counts while `pair` is empty. Otherwise an
-    even choice of `limit` pairs is stored, and `count` must hold the numbers found.
+    Item i is pair i // n of base i % n, for n bases. Only counts while `pair` is empty. Otherwise
+    an even choice of `limit` pairs is stored, and `count` must hold the numbers found.
 
     Args (beyond the obvious):
         tolerance: of the pair's length [m].

@@ -99,8 +99,8 @@ class DepthRenderer:
             )
             for mesh in meshes
         ]
-        self._ids = wp.array([m.id for m in self._meshes], dtype=wp.uint64, device=device)
-        self._spheres = wp.array(
+        self.mesh_ids = wp.array([m.id for m in self._meshes], dtype=wp.uint64, device=device)
+        self.spheres = wp.array(
             [bounding_sphere(mesh) for mesh in meshes], dtype=wp.vec4, device=device
         )
 
@@ -121,16 +121,20 @@ class DepthRenderer:
         size = (camera.height, camera.width)
         return depth.numpy().reshape(size), index.numpy().reshape(size)
 
-    def render_on_device(self, camera: Camera, T_camera_mesh: NDArray[np.float64]) -> tuple[Any, Any]:
+    def render_on_device(
+        self, camera: Camera, T_camera_mesh: NDArray[np.float64]
+    ) -> tuple[Any, Any]:
         """As `render`, as Warp arrays of shape (H * W,) that stay on the device."""
-        poses = wp.array(np.asarray(T_camera_mesh, dtype=np.float32), dtype=wp.mat44, device=self.device)
+        poses = wp.array(
+            np.asarray(T_camera_mesh, dtype=np.float32), dtype=wp.mat44, device=self.device
+        )
         n = camera.width * camera.height
         depth = wp.empty(n, dtype=float, device=self.device)
         index = wp.empty(n, dtype=int, device=self.device)
         launch(
             cast_rays,
             n,
-            [pinhole(camera), self._ids, self._spheres, poses, depth, index],
+            [pinhole(camera), self.mesh_ids, self.spheres, poses, depth, index],
             self.device,
             work_per_item=20,
         )

@@ -2,8 +2,9 @@
 
 import warp as wp
 
+from inhand.kernels.bodies import nearest_body
 from inhand.kernels.depth import Pinhole
-from inhand.kernels.fields import Fields, field_at
+from inhand.kernels.fields import Fields
 
 wp.set_module_options({"enable_backward": False})
 
@@ -114,8 +115,9 @@ def score_configurations(
         pixel = pixel_of(view.camera, p)
         if pixel < 0:
             continue
-        hidden_by = fixed_depth[coarse_pixel(view.camera.width, fixed_step, pixel)]
-        if hidden_by > 0.0 and hidden_by < p[2] - rule.tolerance:
+        # What something else hides, or explains already, says nothing.
+        other = fixed_depth[coarse_pixel(view.camera.width, fixed_step, pixel)]
+        if other > 0.0 and other < p[2] + rule.tolerance:
             continue
         d = view.depth[pixel]
         if d <= 0.0 or d > p[2] - rule.tolerance:
@@ -194,35 +196,16 @@ def scene_to_hand_terms(
     reach = width[start]
     for i in range(block, points.shape[0], n_blocks):
         p = points[i]
-        best = float(reach)
-        best_link = int(-1)
-        best_gradient = wp.vec3(0.0, 0.0, 0.0)
-        for l in range(n_links):
-            if used[l] == 0:
-                continue
-            T = T_camera_link[start * n_links + l]
-            s = spheres[l]
-            offset = p - wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
-            bound = s[3] + best
-            if wp.dot(offset, offset) > bound * bound:
-                continue
-            local = wp.transform_vector(
-                wp.transpose(T), p - wp.vec3(T[0, 3], T[1, 3], T[2, 3])
-            )
-            value = field_at(fields, l, local)
-            if value[0] < best:
-                best = value[0]
-                best_link = l
-                best_gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
-        if best_link < 0:
+        distance, gradient, k = nearest_body(
+            fields, spheres, T_camera_link, start * n_links, used, 0, p, reach
+        )
+        if k < 0:
             continue
-        agreement = wp.dot(best_gradient, normals[i])
-        w = weights[i] * redescending(best, reach) * wp.max(0.0, agreement)
+        w = weights[i] * redescending(distance, reach) * wp.max(0.0, wp.dot(gradient, normals[i]))
         if w <= 0.0:
             continue
-        arm = p - c
-        at = (item * n_links + best_link) * TERMS
-        add_term(terms, at, wp.cross(arm, best_gradient), best_gradient, best, w)
+        at = (item * n_links + k) * TERMS
+        add_term(terms, at, wp.cross(p - c, gradient), gradient, distance, w)
 
 
 @wp.kernel
@@ -250,10 +233,10 @@ def hand_to_scene_terms(
     c = pivot[start]
     reach = width[start]
     for i in range(block, points.shape[0], n_blocks):
-        l = link[i]
-        if used[l] == 0:
+        k = link[i]
+        if used[k] == 0:
             continue
-        T = T_camera_link[start * n_links + l]
+        T = T_camera_link[start * n_links + k]
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
         facing = -wp.dot(n, p) / wp.length(p)
@@ -272,7 +255,7 @@ def hand_to_scene_terms(
         w = facing * redescending(r, reach) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
         if w <= 0.0:
             continue
-        at = (item * n_links + l) * TERMS
+        at = (item * n_links + k) * TERMS
         add_term(terms, at, wp.cross(p - c, n), n, r, w)
 
 
@@ -285,34 +268,11 @@ def hand_distances(
     used: wp.array(dtype=int),
     farthest: float,
     distance: wp.array(dtype=float),
-    gradient: wp.array(dtype=wp.vec3),
-    link: wp.array(dtype=int),
     first: int,
 ):
-    """One work item a point: signed distance [m] to the posed hand, its gradient and link.
-
-    Distances beyond `farthest` are cut off there, with link -1.
-    """
+    """One work item a point: signed distance [m] to the posed hand, cut off at `farthest`."""
     i = first + wp.tid()
-    p = points[i]
-    best = farthest
-    best_link = int(-1)
-    best_gradient = wp.vec3(0.0, 0.0, 0.0)
-    for l in range(used.shape[0]):
-        if used[l] == 0:
-            continue
-        T = T_camera_link[l]
-        s = spheres[l]
-        offset = p - wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
-        bound = s[3] + best
-        if wp.dot(offset, offset) > bound * bound:
-            continue
-        local = wp.transform_vector(wp.transpose(T), p - wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
-        value = field_at(fields, l, local)
-        if value[0] < best:
-            best = value[0]
-            best_link = l
-            best_gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
-    distance[i] = best
-    gradient[i] = best_gradient
-    link[i] = best_link
+    nearest, _gradient, _link = nearest_body(
+        fields, spheres, T_camera_link, 0, used, 0, points[i], farthest
+    )
+    distance[i] = nearest

@@ -137,7 +137,7 @@ def match_finger_points(
     T = T_camera_link[first_pose + link[i]]
     p = wp.transform_point(T, points[i])
     match[item] = lies_on_scene(scene, p, wp.transform_vector(T, normals[i]))
-    depth, _gradient = nearest_body(
+    depth, _gradient, _link = nearest_body(
         fields, spheres, T_camera_link, first_pose, obstacle, link[i] * n_links, p, 0.0
     )
     clearance[item] = depth

@@ -26,7 +26,6 @@ class ObjectEvidence:
     """What an object pose is held against."""
 
     view: DepthView
-    rule: Visibility
     hand_depth: wp.array(dtype=float)
     """Rendered depth of the estimated hand [m], every `hand_step`-th pixel, 0 where it is not."""
     hand_step: int
@@ -50,15 +49,15 @@ def hand_depth_at(e: ObjectEvidence, pixel: int):
 @wp.func
 def visible_score(
     e: ObjectEvidence,
+    rule: Visibility,
     T: wp.mat44,
     points: wp.array(dtype=wp.vec3),
     normals: wp.array(dtype=wp.vec3),
-    first_point: int,
     n_points: int,
 ):
     """Sum of the judgements of the camera-facing surface samples, per expected visible sample."""
     total = float(0.0)
-    for i in range(first_point, first_point + n_points):
+    for i in range(n_points):
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
         facing = -wp.dot(n, p) / wp.length(p)
@@ -68,9 +67,9 @@ def visible_score(
         if pixel < 0:
             continue
         hand = hand_depth_at(e, pixel)
-        if hand > 0.0 and hand < p[2] - e.rule.tolerance:
+        if hand > 0.0 and hand < p[2] - rule.tolerance:
             continue
-        total += facing * judge_point(e.view, e.rule, p, n, pixel)
+        total += facing * judge_point(e.view, rule, p, n, pixel)
     return total / (VISIBLE_SHARE * float(n_points))
 
 
@@ -96,6 +95,7 @@ def explained_share(e: ObjectEvidence, T: wp.mat44, fields: Fields, stride: int)
 @wp.kernel
 def score_poses(
     e: ObjectEvidence,
+    rule: Visibility,
     T_camera_object: wp.array(dtype=wp.mat44),
     index: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3),
@@ -117,7 +117,7 @@ def score_poses(
     if T[3, 3] == 0.0:
         score[i] = -1.0e6
         return
-    score[i] = visible_score(e, T, points, normals, 0, n_points) + (
+    score[i] = visible_score(e, rule, T, points, normals, n_points) + (
         e.share_weight * explained_share(e, T, fields, segment_stride)
     )
 
@@ -159,9 +159,7 @@ def moved(T: wp.mat44, x: Vector6, pivot: wp.vec3):
     R = wp.identity(n=3, dtype=float)
     if angle > 1.0e-9:
         R = wp.quat_to_matrix(wp.quat_from_axis_angle(w / angle, angle))
-    old = wp.mat33(
-        T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2]
-    )
+    old = wp.mat33(T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2])
     t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     R_new = R @ old
     t_new = R @ (t - pivot) + pivot + wp.vec3(x[3], x[4], x[5])

@@ -68,7 +68,7 @@ def align_to_points(
         count = float(0.0)
         for k in range(points.shape[0]):
             x = wp.quat_rotate_inv(rotation, points[k] - origin)
-            d, g = nearest_body(
+            d, g, _link = nearest_body(
                 model.fields,
                 model.spheres,
                 model.T_model_part,

@@ -81,9 +81,7 @@ class ArticulatedFit:
         self.weights = wp.full(len(observation.points), 1.0, dtype=float, device=device)
         self.used = wp.array(used.astype(np.int32), dtype=int, device=device)
 
-    def refine(
-        self, q: Array, T_camera_hand: Array, widths: Array
-    ) -> tuple[Array, Array]:
+    def refine(self, q: Array, T_camera_hand: Array, widths: Array) -> tuple[Array, Array]:
         """Refined joint vectors (s, n) and wrist poses (s, 4, 4).
 
         Args:

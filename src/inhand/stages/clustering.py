@@ -11,7 +11,8 @@ from inhand.kernels.launch import launch
 from inhand.kernels.pose_distance import surface_distances
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.evidence import Evidence, score
-from inhand.stages.poses import PoseSet
+from inhand.stages.results import PoseSet
+from inhand.stages.se3_clustering import cluster_se3
 
 
 def cluster(
@@ -23,8 +24,6 @@ def cluster(
     again on more points, and taken greedily as long as their surface differs from those taken.
     """
     if config.method == "se3":
-        from inhand.stages.se3_clustering import cluster_se3
-
         return cluster_se3(hypotheses, obj, config)
     n = min(config.shortlist, len(hypotheses))
     best = np.argpartition(-hypotheses.score, n - 1)[:n]
@@ -36,6 +35,8 @@ def cluster(
         np.arange(n),
         model_points=config.model_points,
         segment_points=config.segment_points,
+        tolerance=config.tolerance,
+        contact=True,
     )
     return distinct_poses(
         PoseSet(shortlist.T_camera_object, scores), obj, config.surface_distance, config.keep

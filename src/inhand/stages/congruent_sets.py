@@ -21,8 +21,7 @@ from inhand.kernels.launch import launch
 from inhand.kernels.lcp import pose_lcp
 from inhand.kernels.pair_matching import PairTable
 from inhand.packed import PackedObject
-from inhand.stages.poses import PoseSet
-from inhand.stages.segmentation import Segment
+from inhand.stages.results import PoseSet, Segment
 
 # The hash grid's cells along x, where the bases lie side by side, and across.
 GRID_CELLS = (2048, 32, 32)

@@ -8,14 +8,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import EvidenceConfig
+from inhand.kernels.contact import hand_clearance
 from inhand.kernels.hand_fit import Visibility
 from inhand.kernels.launch import launch
 from inhand.kernels.object_fit import ObjectEvidence, score_poses
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.articulated_fit import depth_view
-from inhand.stages.hand_state import HandState
 from inhand.stages.observation import Observation
-from inhand.stages.segmentation import Segment
+from inhand.stages.results import HandState, Segment
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,12 @@ class Evidence:
     """`kernels.object_fit.ObjectEvidence`."""
     segment_size: int
     """Number of segment points."""
+    hand: PackedHand = field(repr=False)
+    """The hand."""
+    hand_state: HandState
+    """Where it is."""
+    config: EvidenceConfig
+    """Parameters."""
 
 
 def gather_evidence(
@@ -46,13 +52,8 @@ def gather_evidence(
     coarse = observation.camera.subsampled(config.hand_step)
     e = ObjectEvidence()
     e.view = depth_view(observation)
-    e.rule = Visibility()
-    e.rule.tolerance, e.rule.violation = config.tolerance, config.violation
-    e.rule.missing, e.rule.hidden = config.missing, config.hidden
-    visible = hand_state.T_camera_link.copy()
-    # What the image does not support must not explain it: such links are put behind the camera.
-    visible[~hand_state.certain, 2, 3] = -10.0
-    e.hand_depth = hand.renderer.render_on_device(coarse, visible)[0]
+    # What the image does not support must not explain it.
+    e.hand_depth = hand.render(coarse, hand_state.T_camera_link, hand_state.certain)
     e.hand_step = config.hand_step
     # A fixed shuffle makes every strided subset an even sample of the segment.
     order = np.random.default_rng(0).permutation(len(segment.points))
@@ -60,7 +61,7 @@ def gather_evidence(
     e.normals = wp.array(segment.normals[order], dtype=wp.vec3, device=device)
     e.weights = wp.array(segment.weight[order], dtype=float, device=device)
     e.near, e.share_weight = config.near, config.share_weight
-    return Evidence(e, len(segment.points))
+    return Evidence(e, len(segment.points), hand, hand_state, config)
 
 
 def score(
@@ -71,6 +72,8 @@ def score(
     *,
     model_points: int,
     segment_points: int,
+    tolerance: float,
+    contact: bool = False,
 ) -> NDArray[np.float32]:
     """Scores, shape (k,), of the poses at `index` of a device array of poses.
 
@@ -80,19 +83,55 @@ def score(
         T_camera_object: `wp.array` of `wp.mat44`, or transforms of shape (m, 4, 4).
         index: which poses, shape (k,).
         model_points, segment_points: how many of each are used; more is finer and slower.
+        tolerance: depth agreement of a model point with its pixel [m].
+        contact: subtract the penalty for running into the hand or not touching it.
     """
     device = obj.device
     if not isinstance(T_camera_object, wp.array):
         T_camera_object = device_poses(T_camera_object, device)
     out = wp.empty(len(index), dtype=float, device=device)
+    rule, config = Visibility(), evidence.config
+    rule.tolerance, rule.violation = tolerance, config.violation
+    rule.missing, rule.hidden = config.missing, config.hidden
     stride = max(1, evidence.segment_size // segment_points)
     n = min(model_points, len(obj.points))
     launch(
         score_poses,
         len(index),
-        [evidence.arrays, T_camera_object, wp.array(index, dtype=int, device=device)]
+        [evidence.arrays, rule, T_camera_object, wp.array(index, dtype=int, device=device)]
         + [obj.points, obj.normals, n, obj.fields, stride, out],
         device,
         work_per_item=n + evidence.segment_size // stride,
     )
-    return np.asarray(out.numpy())
+    scores = np.asarray(out.numpy())
+    if contact:
+        scores = scores - contact_penalty(evidence, obj, T_camera_object, len(index))
+    return scores
+
+
+def contact_penalty(
+    evidence: Evidence, obj: PackedObject, T_camera_object: Any, count: int
+) -> NDArray[np.float32]:
+    """Penalty, shape (count,), of poses that run into the hand or do not touch it.
+
+    Only links that the image supports count; where others are is unknown, and the object may touch
+    those.
+    """
+    device, c, state = obj.device, evidence.config, evidence.hand_state
+    farthest = c.uncertain_gap + c.max_contact_penalty * c.gap_scale
+    clearance = wp.empty(count, dtype=float, device=device)
+    launch(
+        hand_clearance,
+        count,
+        [T_camera_object, obj.points, c.contact_points, evidence.hand.fields]
+        + [evidence.hand.spheres, device_poses(state.T_camera_link, device)]
+        + [wp.array(state.certain.astype(np.int32), dtype=int, device=device)]
+        + [farthest, clearance],
+        device,
+        work_per_item=4 * c.contact_points,
+    )
+    distance = clearance.numpy()
+    free_gap = c.free_gap if state.certain.all() else c.uncertain_gap
+    penetration = (-distance - c.free_penetration) / c.penetration_scale
+    gap = (distance - free_gap) / c.gap_scale
+    return np.clip(np.maximum(penetration, gap), 0, c.max_contact_penalty).astype(np.float32)

@@ -11,9 +11,9 @@ from inhand.errors import NoAnswer
 from inhand.kernels.launch import launch
 from inhand.kernels.pair_matching import PairTable, match_pairs
 from inhand.packed import PackedObject
+from inhand.stages.congruent_sets import generate_from_congruent_sets
 from inhand.stages.evidence import Evidence, score
-from inhand.stages.poses import PoseSet
-from inhand.stages.segmentation import Segment
+from inhand.stages.results import PoseSet, Segment
 
 
 def generate_hypotheses(
@@ -33,8 +33,6 @@ def generate_hypotheses(
         NoAnswer: nothing on the segment matches the model.
     """
     if config.method == "congruent_sets":
-        from inhand.stages.congruent_sets import generate_from_congruent_sets
-
         return generate_from_congruent_sets(segment, obj, config, rng)
     a, b = _sample_pairs(segment, obj, config, rng)
     poses = _match(segment, obj, a, b, config, int(rng.integers(2**31)))
@@ -48,6 +46,7 @@ def generate_hypotheses(
         matched,
         model_points=config.model_points,
         segment_points=config.segment_points,
+        tolerance=config.tolerance,
     )
     return PoseSet(poses.numpy()[matched], scores)
 

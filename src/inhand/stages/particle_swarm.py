@@ -14,9 +14,8 @@ from inhand.hand import Finger
 from inhand.kernels.launch import launch
 from inhand.kernels.lcp import SceneCloud, match_finger_points
 from inhand.packed import PackedHand, device_poses
-from inhand.stages.hand_state import HandState, make_state
 from inhand.stages.observation import Observation
-from inhand.stages.wrist import Wrist
+from inhand.stages.results import HandState, Wrist
 
 Array = NDArray[np.float64]
 GRID_CELLS = 64
@@ -39,7 +38,8 @@ def search_fingers(
         finger_cost = partial(cost, finger, q, placed)
         q[joints] = minimise(finger_cost, model.lower[joints], model.upper[joints], config, rng)
         placed += finger.links
-    return make_state(hand, q, T)
+    poses = hand.link_poses(q[None], T[None])[0]
+    return HandState(q, T, poses, np.ones(len(poses), dtype=bool))
 
 
 def minimise(

@@ -8,8 +8,7 @@ from inhand.errors import NoAnswer
 from inhand.kernels.contact import hand_clearance
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, PackedObject, device_poses
-from inhand.stages.hand_state import HandState
-from inhand.stages.poses import PoseSet
+from inhand.stages.results import HandState, PoseSet
 
 
 def prune_by_physics(
@@ -31,6 +30,7 @@ def prune_by_physics(
     inputs = [
         device_poses(poses.T_camera_object, device),
         obj.points,
+        len(obj.points),
         hand.fields,
         hand.spheres,
         device_poses(hand_state.T_camera_link, device),

@@ -10,9 +10,8 @@ from inhand.kernels.launch import launch
 from inhand.kernels.lcp import pose_lcp
 from inhand.kernels.point_to_plane import RigidModel, align_to_points
 from inhand.packed import PackedObject, device_poses
-from inhand.stages.poses import PoseSet
+from inhand.stages.results import PoseSet, Segment
 from inhand.stages.se3_clustering import leaders_of
-from inhand.stages.segmentation import Segment
 
 
 def refine_by_icp(

@@ -2,8 +2,8 @@
 
 from inhand.config import PruningConfig
 from inhand.packed import PackedHand, PackedObject
-from inhand.stages.hand_state import HandState
-from inhand.stages.poses import PoseSet
+from inhand.stages.physics_pruning import prune_by_physics
+from inhand.stages.results import HandState, PoseSet
 
 
 def prune(
@@ -15,7 +15,5 @@ def prune(
 ) -> PoseSet:
     """Poses that neither lie deep in the hand nor fail to touch it."""
     if config.method == "physics":
-        from inhand.stages.physics_pruning import prune_by_physics
-
         return prune_by_physics(poses, hand_state, hand, obj, config)
     return poses

@@ -8,8 +8,8 @@ from inhand.kernels.launch import launch
 from inhand.kernels.object_fit import refine_poses
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.evidence import Evidence
-from inhand.stages.poses import PoseSet
-from inhand.stages.segmentation import Segment
+from inhand.stages.point_to_plane import refine_by_icp
+from inhand.stages.results import PoseSet, Segment
 
 
 def refine(
@@ -25,8 +25,6 @@ def refine(
     distance field and visible model samples to their pixels, with a redescending weight.
     """
     if config.method == "icp":
-        from inhand.stages.point_to_plane import refine_by_icp
-
         return refine_by_icp(poses, segment, obj, config)
     device = obj.device
     refined = wp.empty(len(poses), dtype=wp.mat44, device=device)

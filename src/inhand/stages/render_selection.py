@@ -12,10 +12,8 @@ from inhand.kernels.discrepancy import EMPTY, depth_discrepancy
 from inhand.kernels.launch import launch
 from inhand.kernels.lcp import pose_lcp
 from inhand.packed import PackedHand, PackedObject, device_poses
-from inhand.stages.hand_state import HandState
 from inhand.stages.observation import Observation
-from inhand.stages.poses import PoseSet
-from inhand.stages.segmentation import Segment
+from inhand.stages.results import HandState, PoseSet, Segment
 
 
 def select_by_rendering(
@@ -66,8 +64,8 @@ def depth_discrepancies(
         pinhole(view),
         wp.array(observed.reshape(-1), dtype=float, device=device),
         hand_depth,
-        obj.renderer._ids,
-        obj.renderer._spheres,
+        obj.renderer.mesh_ids,
+        obj.renderer.spheres,
         device_poses(poses.T_camera_object, device),
         config.max_discrepancy,
         total,

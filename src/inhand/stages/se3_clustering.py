@@ -6,15 +6,15 @@ from numpy.typing import NDArray
 from inhand.config import ClusteringConfig
 from inhand.kernels.clustering import pose_leaders
 from inhand.packed import PackedObject
-from inhand.stages.poses import PoseSet
+from inhand.stages.results import PoseSet
 
 
 def cluster_se3(poses: PoseSet, obj: PackedObject, config: ClusteringConfig) -> PoseSet:
     """The pose with the highest score of every cluster, best first.
 
     Poses are grouped by the position of the object's centre, then every group by rotation, which is
-    compared modulo the object's symmetry. Groups form around their best pose: with thousands of
-    poses, groups that grow from neighbour to neighbour would run together into one.
+    compared modulo the object's symmetry. Groups form around their best pose: grown from neighbour
+    to neighbour, one group took 60 to 100 % of the thousands of poses of a frame.
     """
     poses = poses.take(np.argsort(-poses.score, kind="stable"))
     everywhere = np.zeros(1, dtype=np.int32)

@@ -1,7 +1,5 @@
 """Removal of the hand from the scene cloud; what remains is the object segment P_O."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -11,22 +9,8 @@ from inhand.errors import NoAnswer
 from inhand.kernels.hand_fit import hand_distances
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, device_poses
-from inhand.stages.hand_state import HandState
 from inhand.stages.observation import Observation
-
-
-@dataclass(frozen=True)
-class Segment:
-    """The object segment P_O."""
-
-    points: NDArray[np.float32]
-    """Points [m], camera frame, shape (n, 3)."""
-    normals: NDArray[np.float32]
-    """Unit normals towards the camera, shape (n, 3)."""
-    hand_distance: NDArray[np.float32]
-    """Signed distance of every point to the estimated hand [m], shape (n,)."""
-    weight: NDArray[np.float32]
-    """Probability that the point belongs to the object, shape (n,)."""
+from inhand.stages.results import HandState, Segment
 
 
 def segment_object(
@@ -47,14 +31,14 @@ def segment_object(
     """
     farthest = 2 * object_diameter
     everything = np.ones(len(hand.hand.links), dtype=bool)
-    distance = distances_to_hand(observation.points, hand_state, hand, everything, farthest)[0]
+    distance = distances_to_hand(observation.points, hand_state, hand, everything, farthest)
     if config.method == "threshold":
         weight = (distance >= config.hand_distance).astype(np.float32)
     else:
         weight = _not_hand(distance, config)
         distance = distances_to_hand(
             observation.points, hand_state, hand, hand_state.certain, farthest
-        )[0]
+        )
         share = config.uncertain_weight
         weight = _not_hand(distance, config) * (share + (1 - share) * weight)
     weight[distance > object_diameter + config.certain_distance] = 0.0
@@ -85,12 +69,10 @@ def distances_to_hand(
     hand: PackedHand,
     links: NDArray[np.bool_],
     farthest: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Signed distances (n,) [m] of points (n, 3) to some links, and their gradients (n, 3)."""
+) -> NDArray[np.float32]:
+    """Signed distances (n,) [m] of points (n, 3) to some links, cut off at `farthest`."""
     device, n = hand.device, len(points)
     distance = wp.empty(n, dtype=float, device=device)
-    gradient = wp.empty(n, dtype=wp.vec3, device=device)
-    link = wp.empty(n, dtype=int, device=device)
     launch(
         hand_distances,
         n,
@@ -102,10 +84,8 @@ def distances_to_hand(
             wp.array(links.astype(np.int32), dtype=int, device=device),
             farthest,
             distance,
-            gradient,
-            link,
         ],
         device,
         work_per_item=10,
     )
-    return distance.numpy(), gradient.numpy()
+    return np.asarray(distance.numpy())

@@ -1,37 +1,14 @@
 """Choice of the answer among the poses that are left (paper, section IV-C)."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from inhand.config import SelectionConfig
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import distinct_poses
 from inhand.stages.evidence import Evidence, score
-from inhand.stages.hand_state import HandState
 from inhand.stages.observation import Observation
-from inhand.stages.poses import PoseSet
-from inhand.stages.segmentation import Segment
-
-
-@dataclass(frozen=True)
-class Selection:
-    """The poses that are left, best first, and how sure the first one is."""
-
-    poses: PoseSet
-    """Ranked poses."""
-    confidence: float
-    """Probability that the first pose is right, 0..1."""
-
-    @property
-    def T_camera_object(self) -> np.ndarray:
-        """Ranked poses, shape (m, 4, 4)."""
-        return self.poses.T_camera_object
-
-    @property
-    def score(self) -> np.ndarray:
-        """Scores, shape (m,)."""
-        return self.poses.score
+from inhand.stages.render_selection import select_by_rendering
+from inhand.stages.results import HandState, PoseSet, Segment, Selection
 
 
 def select(
@@ -50,8 +27,6 @@ def select(
     one score weighs hits, free-space violations, occlusion and missing readings.
     """
     if config.method == "render":
-        from inhand.stages.render_selection import select_by_rendering
-
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
         return Selection(ranked, _confidence(ranked, config))
     scores = score(
@@ -61,6 +36,8 @@ def select(
         np.arange(len(poses)),
         model_points=config.model_points,
         segment_points=config.segment_points,
+        tolerance=config.tolerance,
+        contact=True,
     )
     ranked = distinct_poses(
         PoseSet(poses.T_camera_object, scores), obj, config.merge_distance, config.candidates

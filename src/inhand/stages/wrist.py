@@ -1,22 +1,13 @@
 """Correction of the wrist pose (paper, section IV-A)."""
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from inhand.config import WristConfig
 from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
 from inhand.stages.observation import Observation
-
-
-@dataclass(frozen=True)
-class Wrist:
-    """The corrected wrist."""
-
-    T_camera_hand: NDArray[np.float64]
-    """Pose of the hand's root link in the camera, shape (4, 4)."""
+from inhand.stages.results import Wrist
+from inhand.stages.wrist_icp import fit_wrist_icp
 
 
 def fit_wrist(observation: Observation, hand: PackedHand, config: WristConfig) -> Wrist:
@@ -26,8 +17,6 @@ def fit_wrist(observation: Observation, hand: PackedHand, config: WristConfig) -
     image leaves directions open in which ICP slides away.
     """
     if config.method == "icp":
-        from inhand.stages.wrist_icp import fit_wrist_icp
-
         return fit_wrist_icp(observation, hand, config)
     used = np.zeros(len(hand.hand.links), dtype=bool)
     used[list(hand.hand.palm_links)] = True
@@ -40,9 +29,8 @@ def fit_wrist(observation: Observation, hand: PackedHand, config: WristConfig) -
         point_information=config.point_information,
         joint_damping=1.0,
     )
-    q = np.clip(np.zeros(len(hand.hand.joint_names)), hand.hand.lower, hand.hand.upper)
     widths = np.geomspace(config.max_distance, config.last_width, config.iterations)
-    _, T = fit.refine(q[None], observation.T_camera_hand[None], widths)
+    _, T = fit.refine(hand.hand.rest[None], observation.T_camera_hand[None], widths)
     return Wrist(T[0])
 
 

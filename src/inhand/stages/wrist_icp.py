@@ -9,7 +9,7 @@ from inhand.kernels.launch import launch
 from inhand.kernels.point_to_plane import RigidModel, align_to_points
 from inhand.packed import PackedHand, device_poses
 from inhand.stages.observation import Observation
-from inhand.stages.wrist import Wrist
+from inhand.stages.results import Wrist
 
 
 def fit_wrist_icp(observation: Observation, hand: PackedHand, config: WristConfig) -> Wrist:

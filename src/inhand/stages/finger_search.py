@@ -1,0 +1,165 @@
+"""Search of single fingers over their whole range, by what the camera should see of them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from inhand.config import HandStateConfig
+from inhand.hand import Finger
+from inhand.kernels.hand_fit import Visibility, score_configurations
+from inhand.kernels.launch import launch
+from inhand.packed import PackedHand, device_poses
+from inhand.stages.articulated_fit import depth_view
+from inhand.stages.observation import Observation
+
+Array = NDArray[np.float64]
+
+
+class FingerSearch:
+    """Scores configurations of single fingers against the image.
+
+    Surface that the palm or another finger explains does not count for a finger, so that two
+    fingers cannot claim the same readings.
+
+    Args:
+        observation: the image.
+        hand: the hand.
+        config: parameters.
+    """
+
+    def __init__(self, observation: Observation, hand: PackedHand, config: HandStateConfig) -> None:
+        self.packed, self.hand, self.config = hand, hand.hand, config
+        self.camera = observation.camera.subsampled(config.render_step)
+        self.view = depth_view(observation)
+
+    def alternatives(self, T_camera_hand: Array, rng: np.random.Generator) -> list[Array]:
+        """The best distinct configurations of every finger, best first, (k, finger's joints) each.
+
+        All fingers are searched alone first; then in the order of their scores, each beside those
+        before it.
+        """
+        palm = self._render(self.hand.rest, T_camera_hand, [])
+        alone = [self._search(finger, T_camera_hand, palm, rng) for finger in self.hand.fingers]
+        found = [configurations for configurations, _ in alone]
+        order = np.argsort([-score for _, score in alone])
+        q, placed = self.hand.rest.copy(), []
+        for rank, i in enumerate(order):
+            finger = self.hand.fingers[i]
+            if rank > 0:
+                others = self._render(q, T_camera_hand, placed)
+                found[i], _ = self._search(finger, T_camera_hand, others, rng)
+            q[list(finger.joints)] = found[i][0]
+            placed.append(finger)
+        return found
+
+    def best_combination(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
+        """Every finger's best joints (n,) among refined starts, and the wrist of the best start.
+
+        Args:
+            q: refined joint vectors, shape (s, n).
+            T_camera_hand: refined wrist poses, shape (s, 4, 4).
+        """
+        palm = self._render(self.hand.rest, T_camera_hand[0], [])
+        alone = [self._score(f.links, q, T_camera_hand, palm)[0] for f in self.hand.fingers]
+        total = np.sum(alone, axis=0)
+        T = T_camera_hand[total.argmax()]
+        combined, placed = q[total.argmax()].copy(), []
+        for i in np.argsort([-score.max() for score in alone]):
+            finger = self.hand.fingers[i]
+            others = self._render(combined, T, placed)
+            score = self._score(finger.links, q, T_camera_hand, others)[0]
+            combined[list(finger.joints)] = q[score.argmax()][list(finger.joints)]
+            placed.append(finger)
+        return combined, T
+
+    def link_support(self, q: Array, T_camera_hand: Array) -> Array:
+        """Score of every link per share of it that nothing hides, shape (L,); 1 for palm links.
+
+        Args:
+            q: joint vector, shape (n,).
+            T_camera_hand: wrist pose, shape (4, 4).
+        """
+        support = np.ones(len(self.hand.links))
+        for finger in self.hand.fingers:
+            others = [other for other in self.hand.fingers if other is not finger]
+            depth = self._render(q, T_camera_hand, others)
+            for link in finger.links:
+                score, seen = self._score((link,), q[None], T_camera_hand[None], depth)
+                support[link] = score[0] / max(float(seen[0]), self.config.min_seen)
+        return support
+
+    def _search(
+        self, finger: Finger, T_camera_hand: Array, others: Any, rng: np.random.Generator
+    ) -> tuple[Array, float]:
+        """The best distinct configurations of a finger, best first, and the best score."""
+        config, joints = self.config, list(finger.joints)
+        lower, upper = self.hand.lower[joints], self.hand.upper[joints]
+
+        def score(tried: Array, tolerance: float) -> Array:
+            q = np.repeat(self.hand.rest[None], len(tried), 0)
+            q[:, joints] = tried
+            poses = np.repeat(T_camera_hand[None], len(q), 0)
+            return self._score(finger.links, q, poses, others, tolerance)[0]
+
+        sampler = qmc.Sobol(len(joints), seed=rng)
+        tried = lower + sampler.random_base2(int(np.log2(config.samples))) * (upper - lower)
+        centres = _distinct(
+            tried, score(tried, config.coarse_tolerance), config.distinct_angle, config.alternatives
+        )
+        spread = rng.normal(
+            0, config.local_spread, (len(centres), config.local_samples, len(joints))
+        )
+        spread[:, 0] = 0.0
+        around = np.clip(centres[:, None] + spread, lower, upper)
+        scores = score(around.reshape(-1, len(joints)), config.fine_tolerance)
+        scores = scores.reshape(len(centres), -1)
+        best = around[np.arange(len(centres)), scores.argmax(axis=1)]
+        return best[np.argsort(-scores.max(axis=1))], float(scores.max())
+
+    def _score(
+        self,
+        links: Sequence[int],
+        q: Array,
+        T_camera_hand: Array,
+        others: Any,
+        tolerance: float | None = None,
+    ) -> tuple[Array, Array]:
+        """Visibility score of some links and the share of them that nothing hides, (c,) each."""
+        packed, device, config = self.packed, self.packed.device, self.config
+        rule = Visibility()
+        rule.tolerance = tolerance or config.fine_tolerance
+        rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
+        ranges = [np.arange(*packed.point_start[[i, i + 1]]) for i in links]
+        samples = wp.array(np.concatenate(ranges), dtype=int, device=device)
+        poses = device_poses(packed.link_poses(q, T_camera_hand), device)
+        score = wp.empty(len(q), dtype=float, device=device)
+        seen = wp.empty(len(q), dtype=float, device=device)
+        launch(
+            score_configurations,
+            len(q),
+            [self.view, rule, poses, len(self.hand.links), packed.points, packed.normals]
+            + [packed.link, samples, others, config.render_step, score, seen],
+            device,
+            work_per_item=len(samples),
+        )
+        return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)
+
+    def _render(self, q: Array, T_camera_hand: Array, fingers: Sequence[Finger]) -> Any:
+        """Depth [m], on the device, of the palm and some fingers at joint vector (n,)."""
+        shown = {*self.hand.palm_links, *(link for finger in fingers for link in finger.links)}
+        poses = self.packed.link_poses(q[None], T_camera_hand[None])[0]
+        return self.packed.render(self.camera, poses, np.isin(np.arange(len(poses)), list(shown)))
+
+
+def _distinct(tried: Array, score: Array, angle: float, keep: int) -> Array:
+    """The best configurations that differ by `angle` in some joint, best first."""
+    chosen: list[Array] = []
+    left = tried[np.argsort(-score)]
+    while len(left) and len(chosen) < keep:
+        chosen.append(left[0])
+        left = left[np.abs(left - left[0]).max(axis=1) > angle]
+    return np.stack(chosen)

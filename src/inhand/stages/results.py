@@ -1,0 +1,79 @@
+"""What the stages hand to each other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Wrist:
+    """The corrected wrist."""
+
+    T_camera_hand: NDArray[np.float64]
+    """Pose of the hand's root link in the camera, shape (4, 4)."""
+
+
+@dataclass(frozen=True)
+class HandState:
+    """The estimated hand."""
+
+    joint_vector: NDArray[np.float64]
+    """Independent joint positions in the order of `hand.joint_names` [rad], shape (n,)."""
+    T_camera_hand: NDArray[np.float64]
+    """Pose of the hand's root link in the camera, shape (4, 4)."""
+    T_camera_link: NDArray[np.float64]
+    """Poses of the links that have geometry, shape (L, 4, 4)."""
+    certain: NDArray[np.bool_]
+    """Whether the image supports each link where it is, shape (L,); palm links always count."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """The object segment P_O."""
+
+    points: NDArray[np.float32]
+    """Points [m], camera frame, shape (n, 3)."""
+    normals: NDArray[np.float32]
+    """Unit normals towards the camera, shape (n, 3)."""
+    hand_distance: NDArray[np.float32]
+    """Signed distance of every point to the estimated hand [m], shape (n,)."""
+    weight: NDArray[np.float32]
+    """Probability that the point belongs to the object, shape (n,)."""
+
+
+@dataclass(frozen=True)
+class PoseSet:
+    """Object poses with a score each; higher is better."""
+
+    T_camera_object: NDArray[np.float32]
+    """Poses, shape (m, 4, 4)."""
+    score: NDArray[np.float32]
+    """Score within the stage that made the set, shape (m,)."""
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def take(self, index: NDArray[np.intp]) -> "PoseSet":
+        """The poses at `index`, in that order."""
+        return PoseSet(self.T_camera_object[index], self.score[index])
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The poses that are left, best first, and how sure the first one is."""
+
+    poses: PoseSet
+    """Ranked poses."""
+    confidence: float
+    """Probability that the first pose is right, 0..1."""
+
+    @property
+    def T_camera_object(self) -> NDArray[np.float32]:
+        """Ranked poses, shape (m, 4, 4)."""
+        return self.poses.T_camera_object
+
+    @property
+    def score(self) -> NDArray[np.float32]:
+        """Scores, shape (m,)."""
+        return self.poses.score
