@@ -79,7 +79,7 @@ def held_object(name: str) -> HeldObject:
         ObservationConfig(),
         "cpu",
     )
-    u, v = observation.pixels.T + np.array(observation.offset)[:, None]
+    u, v = np.rint(CAMERA.project(observation.points)).astype(int).T
     on_object = label[v, u] == len(meshes) - 1
     points = observation.points[on_object]
     segment = Segment(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from inhand.checks import file_path, finite_number, number_array, whole_number
 from inhand.errors import InputError
 
 
@@ -18,8 +19,7 @@ class Camera:
     Pixel (u, v) is centred at integer coordinates: u = fx x / z + cx.
 
     Raises:
-        InputError: a number is not finite or not positive, or the intrinsics cannot belong to an
-            image of this size.
+        InputError: a field is no finite number, or one that must be positive is not.
     """
 
     fx: float
@@ -38,19 +38,14 @@ class Camera:
     """Metres per count of integer depth images."""
 
     def __post_init__(self) -> None:
-        numbers = [self.fx, self.fy, self.cx, self.cy, self.width, self.height, self.depth_unit]
-        try:
-            finite = bool(np.isfinite(np.array(numbers, dtype=np.float64)).all())
-        except (TypeError, ValueError) as error:
-            raise InputError(f"camera intrinsics must be numbers, got {numbers}") from error
-        if not finite:
-            raise InputError(f"camera intrinsics hold NaN or infinite numbers: {numbers}")
+        for name in ("fx", "fy", "cx", "cy", "depth_unit"):
+            value = finite_number(getattr(self, name), f"the camera's {name}")
+            object.__setattr__(self, name, value)
+        for name in ("width", "height"):
+            size = whole_number(getattr(self, name), f"the image's {name} [pixel]", least=1)
+            object.__setattr__(self, name, size)
         if self.fx <= 0 or self.fy <= 0:
             raise InputError(f"focal lengths must be positive, got fx={self.fx}, fy={self.fy}")
-        if self.width <= 0 or self.height <= 0 or self.width % 1 or self.height % 1:
-            raise InputError(
-                f"image size must be whole positive numbers, got {self.width} x {self.height}"
-            )
         if not 0 < self.depth_unit <= 1:
             raise InputError(
                 f"depth_unit is metres per count (0.001 for mm), got {self.depth_unit}"
@@ -65,11 +60,15 @@ class Camera:
                 f"principal point ({self.cx:.1f}, {self.cy:.1f}) lies far outside the "
                 f"{self.width} x {self.height} image: do the intrinsics belong to this image size?"
             )
-        if not (0.15 * self.width < self.fx < 20 * self.width):
-            raise InputError(
-                f"fx = {self.fx:.1f} pixel does not fit an image {self.width} pixel wide: "
-                "are the intrinsics in pixels and of this image size?"
-            )
+        for name, f, size, across in (
+            ("fx", self.fx, self.width, "wide"),
+            ("fy", self.fy, self.height, "high"),
+        ):
+            if not 0.15 * size < f < 20 * size:
+                raise InputError(
+                    f"{name} = {f:.4g} pixel does not fit an image {size} pixel {across}: "
+                    "are the intrinsics in pixels and of this image size?"
+                )
 
     @classmethod
     def from_matrix(cls, K: Any, *, width: int, height: int, depth_unit: float = 0.001) -> "Camera":
@@ -78,12 +77,7 @@ class Camera:
         Raises:
             InputError: `K` is not a plausible intrinsic matrix of an image of this size.
         """
-        try:
-            matrix = np.array(K, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"K must be a 3x3 matrix of numbers, got {type(K).__name__}"
-            ) from error
+        matrix = number_array(K, "K", "a 3x3 matrix of numbers").astype(np.float64)
         if matrix.shape != (3, 3):
             raise InputError(f"K must be a 3x3 intrinsic matrix, got shape {matrix.shape}")
         if not np.isfinite(matrix).all():
@@ -95,9 +89,8 @@ class Camera:
             )
         if abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
             raise InputError(f"skew is not supported, K[0, 1] = {matrix[0, 1]}; rectify the image")
-        camera = cls(
-            *(float(x) for x in matrix[[0, 1, 0, 1], [0, 1, 2, 2]]), width, height, depth_unit
-        )
+        fx, fy, cx, cy = matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+        camera = cls(fx, fy, cx, cy, width, height, depth_unit)
         camera.check_plausible()
         return camera
 
@@ -108,11 +101,12 @@ class Camera:
         Raises:
             InputError: the file is missing, is not JSON, or lacks a number.
         """
+        path = file_path(path, "camera file")
         try:
-            fields = json.loads(Path(path).read_text())
+            fields = json.loads(path.read_text())
         except OSError as error:
             raise InputError(f"cannot read the camera file {path}: {error.strerror}") from error
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"the camera file {path} is not JSON: {error}") from error
         names = ("fx", "fy", "cx", "cy", "width", "height")
         missing = [n for n in names if not isinstance(fields, dict) or n not in fields]
@@ -121,12 +115,12 @@ class Camera:
                 f"the camera file {path} lacks {', '.join(missing)}; expected the keys "
                 f"{', '.join(names)} and optionally depth_unit_m"
             )
-        numbers = [fields[n] for n in names] + [fields.get("depth_unit_m", 0.001)]
-        if any(isinstance(x, bool) or not isinstance(x, int | float) for x in numbers):
-            raise InputError(f"the camera file {path} must hold numbers, got {numbers}")
-        fx, fy, cx, cy, width, height, unit = numbers
-        camera = cls(fx, fy, cx, cy, width, height, unit)
-        camera.check_plausible()
+        try:
+            fx, fy, cx, cy, width, height = (fields[n] for n in names)
+            camera = cls(fx, fy, cx, cy, width, height, fields.get("depth_unit_m", 0.001))
+            camera.check_plausible()
+        except InputError as error:
+            raise InputError(f"the camera file {path}: {error}") from error
         return camera
 
     @property

@@ -5,15 +5,67 @@ Each field is documented with its unit and meaning, and the paper's value where 
 (ICRA 2020) as published.
 """
 
+import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+from inhand.checks import finite_number, whole_number
+from inhand.errors import InputError
+
+# Ranges of the fields below. A plain `float` must be positive, a plain `int` at least 1.
+NonNegative = Annotated[float, 0.0, math.inf]
+Share = Annotated[float, 0.0, 1.0]
+Angle = Annotated[float, 0.0, math.pi]
+Seed = Annotated[int, 0]
+
+
+class Section:
+    """A part of the configuration; its fields are checked against their types when it is made.
+
+    Raises:
+        InputError: a field is of another kind or out of its range.
+    """
+
+    def __post_init__(self) -> None:
+        for name, kind in get_type_hints(type(self), include_extras=True).items():
+            value = _checked(getattr(self, name), kind, f"{type(self).__name__}.{name}")
+            object.__setattr__(self, name, value)
+
+    def _check_order(self, smaller: str, larger: str) -> None:
+        low, high = getattr(self, smaller), getattr(self, larger)
+        if low >= high:
+            raise InputError(
+                f"{type(self).__name__}: {smaller} = {low:g} must be below {larger} = {high:g}"
+            )
+
+
+def _checked(value: Any, kind: Any, name: str) -> Any:
+    """`value` as a plain value of a field's type."""
+    if get_origin(kind) is Literal:
+        if not isinstance(value, str) or value not in get_args(kind):
+            methods = " or ".join(f'"{method}"' for method in get_args(kind))
+            raise InputError(f"{name} must be {methods}, got {value!r:.80}")
+        return value
+    number, *ends = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    if number is int:
+        return whole_number(value, name, *ends or [1])
+    if number is not float:
+        if not isinstance(value, kind):
+            raise InputError(f"{name} must be a {kind.__name__}, got {value!r:.80}")
+        return value
+    checked = finite_number(value, name)
+    low, high = ends or (0.0, math.inf)
+    if not low <= checked <= high or (not ends and checked == 0):
+        expected = f"between {low:g} and {high:g}" if ends else "above 0"
+        raise InputError(f"{name} must be {expected}, got {checked:g}")
+    return checked
 
 
 @dataclass(frozen=True)
-class ObservationConfig:
+class ObservationConfig(Section):
     """Region of interest, surface estimates and scene cloud."""
 
-    margin: float = 0.01
+    margin: NonNegative = 0.01
     """Added to the hand's reach and the object's size for the region of interest [m]."""
     point_spacing: float = 0.0025
     """Distance between neighbouring points of the scene cloud P_S [m]."""
@@ -28,7 +80,7 @@ class ObservationConfig:
 
 
 @dataclass(frozen=True)
-class WristConfig:
+class WristConfig(Section):
     """Correction of the wrist pose."""
 
     method: Literal["prior", "icp"] = "prior"
@@ -41,7 +93,7 @@ class WristConfig:
     """Gauss-Newton or ICP iterations."""
     max_distance: float = 0.015
     """Scene points farther from the model than this do not take part [m]."""
-    max_normal_angle: float = 0.35
+    max_normal_angle: Angle = 0.35
     """`icp`: nor do points whose normal differs by more than this from the model's [rad]."""
     last_width: float = 0.005
     """Width of the redescending weight in the last iteration [m]."""
@@ -50,7 +102,7 @@ class WristConfig:
 
 
 @dataclass(frozen=True)
-class HandStateConfig:
+class HandStateConfig(Section):
     """Search and refinement of the finger angles."""
 
     method: Literal["visibility", "swarm"] = "visibility"
@@ -60,21 +112,21 @@ class HandStateConfig:
     """Configurations tried per finger."""
     alternatives: int = 4
     """Distinct configurations per finger that enter the joint refinement."""
-    distinct_angle: float = 0.15
+    distinct_angle: NonNegative = 0.15
     """Configurations that differ by less than this in every joint are one [rad]."""
     coarse_tolerance: float = 0.008
     """Depth agreement during the search [m]."""
     fine_tolerance: float = 0.004
     """Depth agreement when refined configurations are compared [m]."""
-    violation: float = 2.0
+    violation: NonNegative = 2.0
     """Penalty of a surface point that the camera looked through, in units of one agreeing point."""
-    missing: float = 0.5
+    missing: NonNegative = 0.5
     """Penalty of a surface point in the middle of an area without readings."""
-    hidden: float = 0.05
+    hidden: NonNegative = 0.05
     """Penalty of a surface point behind something else."""
     local_samples: int = 64
     """Configurations tried around every alternative before the joint refinement."""
-    local_spread: float = 0.07
+    local_spread: NonNegative = 0.07
     """Standard deviation of these around the alternative [rad]."""
     first_width: float = 0.012
     """Width of the redescending weight in the first iteration of the joint refinement [m]."""
@@ -87,7 +139,7 @@ class HandStateConfig:
     number of neighbouring points whose errors go together."""
     joint_damping: float = 4.0
     """Information that holds every joint at its current angle in one iteration [1/rad^2]."""
-    certain_support: float = 0.3
+    certain_support: NonNegative = 0.3
     """A finger link that scores less, per share of it that nothing hides, is not relied on."""
     min_seen: float = 0.07
     """Shares that nothing hides count as this at least."""
@@ -97,70 +149,76 @@ class HandStateConfig:
     """Particles of the swarm. Paper: 15."""
     generations: int = 3
     """Generations of the swarm. Paper: 3."""
-    swarm_inertia: float = 0.7
+    swarm_inertia: NonNegative = 0.7
     """Largest weight of a particle's previous velocity."""
-    swarm_pull: float = 1.5
+    swarm_pull: NonNegative = 1.5
     """Largest weight of the ways to the particle's own best and to the swarm's best position."""
     lcp_distance: float = 0.005
     """Alg. 1: a finger point nearer than this to the scene counts [m]."""
-    lcp_normal_angle: float = 0.7854
+    lcp_normal_angle: Angle = 0.7854
     """Alg. 1: and whose normal differs by less than this [rad]."""
-    collision_distance: float = 0.002
+    collision_distance: NonNegative = 0.002
     """Alg. 1: deeper penetration of another finger than this is penalised [m]."""
-    collision_penalty: float = 1.0e4
+    collision_penalty: NonNegative = 1.0e4
     """Alg. 1: lambda_c, per metre of penetration and once. Paper: "very large"."""
 
 
 @dataclass(frozen=True)
-class SegmentationConfig:
+class SegmentationConfig(Section):
     """Removal of the hand from the scene cloud."""
 
     method: Literal["soft", "threshold"] = "soft"
     """`threshold`: the paper's; `soft`: points near the hand keep a weight."""
-    hand_distance: float = 0.003
+    hand_distance: NonNegative = 0.003
     """Points with a smaller signed distance to the hand are the hand's [m]. Paper: 3 mm."""
-    uncertain_weight: float = 0.25
+    uncertain_weight: Share = 0.25
     """`soft`: weight of a point that only a link without support in the image explains."""
     certain_distance: float = 0.006
     """`soft`: from this distance on a point is certainly not the hand's [m]."""
-    min_points: int = 12
+    dense_below: int = 400
+    """`soft`: a segment of fewer points is taken again from every pixel."""
+    min_points: int = 20
     """Fewer object points than this: no answer."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_order("hand_distance", "certain_distance")
 
 
 @dataclass(frozen=True)
-class EvidenceConfig:
+class EvidenceConfig(Section):
     """How object poses are scored against the image."""
 
     hand_step: int = 2
     """The hand is rendered at every so-many-th pixel."""
-    violation: float = 1.5
+    violation: NonNegative = 1.5
     """Penalty of a model point that the camera looked through, in units of one that agrees."""
-    missing: float = 0.4
+    missing: NonNegative = 0.4
     """Penalty of a model point in the middle of an area without readings."""
-    hidden: float = 0.5
+    hidden: NonNegative = 0.5
     """Penalty of a model point behind a reading that the hand does not explain."""
     near: float = 0.004
     """A segment point this near to the model's surface is explained [m]."""
-    share_weight: float = 0.7
+    share_weight: Share = 0.7
     """Weight of the explained share of the segment against the visible share of the model."""
     contact_points: int = 128
     """Model points that are held against the hand."""
-    free_penetration: float = 0.003
+    free_penetration: NonNegative = 0.003
     """Penetration of the hand that model errors explain [m]."""
     penetration_scale: float = 0.010
     """Penetration beyond that costs one agreeing surface per this length [m]."""
-    free_gap: float = 0.005
+    free_gap: NonNegative = 0.005
     """Gap between object and hand that model errors explain [m]."""
-    uncertain_gap: float = 0.040
+    uncertain_gap: NonNegative = 0.040
     """The same while the place of some link is unknown [m]."""
     gap_scale: float = 0.030
     """A gap beyond that costs one agreeing surface per this length [m]."""
-    max_contact_penalty: float = 1.0
+    max_contact_penalty: NonNegative = 1.0
     """Penalty of penetration or gap at most."""
 
 
 @dataclass(frozen=True)
-class HypothesesConfig:
+class HypothesesConfig(Section):
     """Generation of object poses."""
 
     method: Literal["pairs", "congruent_sets"] = "pairs"
@@ -171,7 +229,7 @@ class HypothesesConfig:
     """`pairs`: model pairs drawn for each."""
     partner_tries: int = 4
     """`pairs`: second points tried for each first one."""
-    min_width: float = 0.2
+    min_width: NonNegative = 0.2
     """`pairs`: shortest wanted pair, in object diameters."""
     max_width: float = 0.9
     """`pairs`: longest wanted pair, in object diameters."""
@@ -183,7 +241,7 @@ class HypothesesConfig:
     """`pairs`: segment points in the first scoring."""
     heuristic_decay: float = 300.0
     """lambda of pi(p) ~ 1 - exp(-lambda SDF) [1/m]."""
-    sampling_discount: float = 0.5
+    sampling_discount: Share = 0.5
     """gamma: factor on a point's probability each time it is sampled. Paper: 0.5."""
     bases: int = 100
     """Number of 4-point bases sampled."""
@@ -191,11 +249,11 @@ class HypothesesConfig:
     """max_iter of Alg. 2."""
     coplanarity: float = 0.003
     """Distance of the fourth point to the plane of the other three at most [m]."""
-    min_angle: float = 0.5236
+    min_angle: Angle = 0.5236
     """delta of Alg. 2: smallest angle between b1b2 and b1b3 [rad]."""
     congruence: float = 0.004
     """Tolerance of pair lengths and intermediate points in the congruent-set extraction [m]."""
-    congruence_angle: float = 0.35
+    congruence_angle: Angle = 0.35
     """Tolerance of the angles in the congruent-set extraction [rad]."""
     max_pairs_per_base: int = 500
     """Model pairs like one of a base's two pairs that are tried at most."""
@@ -203,14 +261,18 @@ class HypothesesConfig:
     """Congruent sets aligned per base at most."""
     lcp_distance: float = 0.003
     """LCP: a segment point nearer than this to the model counts [m]."""
-    lcp_normal_angle: float = 0.5236
+    lcp_normal_angle: Angle = 0.5236
     """LCP: and whose normal differs by less than this [rad]."""
     lcp_points: int = 300
     """LCP: segment points used at most."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_order("min_width", "max_width")
+
 
 @dataclass(frozen=True)
-class ClusteringConfig:
+class ClusteringConfig(Section):
     """Reduction of the hypotheses to distinct poses."""
 
     method: Literal["distinct", "se3"] = "distinct"
@@ -227,14 +289,14 @@ class ClusteringConfig:
     """`distinct`: poses whose surfaces are farther apart on average are distinct [m]."""
     distance: float = 0.005
     """Poses farther apart than this are distinct [m]."""
-    angle: float = 0.2618
+    angle: Angle = 0.2618
     """Poses whose rotations differ by more than this are distinct [rad]."""
     keep: int = 100
     """Clusters passed on at most."""
 
 
 @dataclass(frozen=True)
-class RefinementConfig:
+class RefinementConfig(Section):
     """Refinement of every pose that is left."""
 
     method: Literal["field", "icp"] = "field"
@@ -245,7 +307,7 @@ class RefinementConfig:
     """`field`: segment points used."""
     model_points: int = 300
     """`field`: model points used."""
-    image_weight: float = 0.3
+    image_weight: NonNegative = 0.3
     """`field`: weight of a visible model point against a segment point."""
     first_width: float = 0.010
     """`field`: width of the redescending weight in the first iteration [m]."""
@@ -253,34 +315,34 @@ class RefinementConfig:
     """`field`: and in the last [m]."""
     max_distance: float = 0.010
     """Correspondences farther than this are ignored [m]."""
-    max_normal_angle: float = 0.7854
+    max_normal_angle: Angle = 0.7854
     """`icp`: so are those whose normals differ by more than this [rad]."""
-    merge_distance: float = 0.002
+    merge_distance: NonNegative = 0.002
     """Poses nearer than this and `merge_angle` are one afterwards [m]."""
-    merge_angle: float = 0.0873
+    merge_angle: Angle = 0.0873
     """Poses nearer than this and `merge_distance` are one afterwards [rad]."""
     keep: int = 100
     """Poses kept with the highest score. Paper: 100."""
     lcp_distance: float = 0.003
     """LCP: a segment point nearer than this to the model counts [m]."""
-    lcp_normal_angle: float = 0.5236
+    lcp_normal_angle: Angle = 0.5236
     """LCP: and whose normal differs by less than this [rad]."""
 
 
 @dataclass(frozen=True)
-class PruningConfig:
+class PruningConfig(Section):
     """Rejection of physically impossible poses."""
 
     method: Literal["none", "physics"] = "none"
     """`physics`: the paper's gates; `none`: left to the likelihood."""
-    max_penetration: float = 0.012
+    max_penetration: NonNegative = 0.012
     """Object poses deeper in the hand than this are rejected [m]."""
-    max_gap: float = 0.010
+    max_gap: NonNegative = 0.010
     """Object poses farther from the hand than this do not touch it and are rejected [m]."""
 
 
 @dataclass(frozen=True)
-class SelectionConfig:
+class SelectionConfig(Section):
     """Choice of the answer among the poses that are left."""
 
     method: Literal["likelihood", "render"] = "likelihood"
@@ -291,11 +353,11 @@ class SelectionConfig:
     """Depth differences are cut off here [m]."""
     ray_spacing: float = 0.003
     """Distance between neighbouring rays of the rendering at the hand [m]."""
-    empty_share: float = 0.5
+    empty_share: Share = 0.5
     """A pixel without a reading is empty space if this share of its neighbours has none either."""
     lcp_distance: float = 0.003
     """LCP: a segment point nearer than this to the model counts [m]."""
-    lcp_normal_angle: float = 0.5236
+    lcp_normal_angle: Angle = 0.5236
     """LCP: and whose normal differs by less than this [rad]."""
     tolerance: float = 0.004
     """`likelihood`: depth agreement of a model point with its pixel [m]."""
@@ -303,11 +365,11 @@ class SelectionConfig:
     """`likelihood`: model points used."""
     segment_points: int = 800
     """`likelihood`: segment points used."""
-    merge_distance: float = 0.001
+    merge_distance: NonNegative = 0.001
     """Poses whose surfaces are nearer on average are one [m]."""
     temperature: float = 0.05
     """Score difference that makes a mode e times less likely."""
-    score_at_half: float = 0.6
+    score_at_half: NonNegative = 0.6
     """Score at which a pose that stands alone is as likely wrong as right."""
     score_slope: float = 0.1
     """Score difference around `score_at_half` that changes the odds e-fold."""
@@ -316,10 +378,10 @@ class SelectionConfig:
 
 
 @dataclass(frozen=True)
-class EstimatorConfig:
+class EstimatorConfig(Section):
     """All parameters of `PoseEstimator`."""
 
-    seed: int = 0
+    seed: Seed = 0
     """Seed of everything random: the same seed gives the same answer, bit for bit."""
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     wrist: WristConfig = field(default_factory=WristConfig)

@@ -1,7 +1,7 @@
 """The pipeline: the stages in order."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
+from inhand.checks import number_array
 from inhand.config import EstimatorConfig
 from inhand.errors import InputError, NoAnswer
 from inhand.estimate import Candidate, PoseEstimate
@@ -30,6 +31,9 @@ from inhand.stages.selection import select
 from inhand.stages.wrist import fit_wrist
 
 Result = TypeVar("Result")
+
+FARTHEST = 50.0
+"""Depths and wrists beyond this are no metres [m]."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class PoseEstimator:
         device: "cpu", "cuda:0", or None for the best there is.
 
     Raises:
-        InputError: the device does not exist.
+        InputError: an argument is of the wrong kind, or the device does not exist.
     """
 
     def __init__(
@@ -67,10 +71,14 @@ class PoseEstimator:
         config: EstimatorConfig | None = None,
         device: str | None = None,
     ) -> None:
-        for value, kind, name in ((hand, Hand, "hand"), (obj, ObjectModel, "obj")):
+        self.config = EstimatorConfig() if config is None else config
+        for value, kind, name in (
+            (hand, Hand, "hand"),
+            (obj, ObjectModel, "obj"),
+            (self.config, EstimatorConfig, "config"),
+        ):
             if not isinstance(value, kind):
                 raise InputError(f"{name} must be an inhand.{kind.__name__}, got {value!r:.80}")
-        self.config = config or EstimatorConfig()
         self.device = resolve_device(device)
         self.hand = PackedHand(hand, self.device)
         self.object = PackedObject(obj, self.device)
@@ -94,17 +102,20 @@ class PoseEstimator:
     ) -> tuple[PoseEstimate, StageResults]:
         """As `estimate`, with what every stage returned (for diagnosis)."""
         image = check_depth(depth, camera)
-        T = check_rigid(T_camera_hand, "T_camera_hand")
+        T = check_wrist(T_camera_hand)
         clock = _Clock()
         results = StageResults()
         try:
-            for results in self._stages(image, camera, T, clock):
-                pass
+            stages = self._stages(image, camera, T, clock)
+            while (reached := next(stages, None)) is not None:
+                results = reached
         except NoAnswer as problem:
             return self._no_answer(str(problem), results, clock), results
         return self._answer(results, clock), results
 
-    def _stages(self, depth: NDArray[np.float32], camera: Camera, T: Any, clock: "_Clock") -> Any:
+    def _stages(
+        self, depth: NDArray[np.float32], camera: Camera, T: Any, clock: "_Clock"
+    ) -> Iterator[StageResults]:
         """Run the stages one after the other, yielding the results so far after each."""
         c, hand, obj, r = self.config, self.hand, self.object, StageResults()
         rng = np.random.default_rng(c.seed)
@@ -191,7 +202,9 @@ def check_depth(depth: Any, camera: Camera) -> NDArray[np.float32]:
     """
     if not isinstance(camera, Camera):
         raise InputError(f"camera must be an inhand.Camera, got {type(camera).__name__}")
-    image = np.asarray(depth)
+    if isinstance(depth, np.ma.MaskedArray):
+        depth = depth.filled(0)
+    image = number_array(depth, "depth", "a floating-point image in metres")
     if image.ndim != 2:
         raise InputError(f"depth must be an image of shape (H, W), got shape {image.shape}")
     if image.dtype.kind in "iu":
@@ -199,8 +212,6 @@ def check_depth(depth: Any, camera: Camera) -> NDArray[np.float32]:
             f"depth must be floating point in metres, got {image.dtype}; "
             "multiply the counts by the camera's depth unit (0.001 for millimetres)"
         )
-    if image.dtype.kind != "f":
-        raise InputError(f"depth must be floating point in metres, got {image.dtype}")
     if image.shape != (camera.height, camera.width):
         raise InputError(
             f"depth is {image.shape[1]} x {image.shape[0]} pixels but the camera "
@@ -209,12 +220,29 @@ def check_depth(depth: Any, camera: Camera) -> NDArray[np.float32]:
     readings = image[np.isfinite(image) & (image != 0)]
     if (readings < 0).any():
         raise InputError("depth holds negative numbers; z points away from the camera")
-    if len(readings) and np.median(readings) > 50:
+    if len(readings) and np.median(readings) > FARTHEST:
         raise InputError(
-            f"the median depth is {np.median(readings):.0f} m: the image seems to be in "
+            f"the median depth is {np.median(readings):.4g} m: the image seems to be in "
             "millimetres; multiply it by 0.001"
         )
-    return image.astype(np.float32)
+    with np.errstate(over="ignore"):  # becomes inf, no reading
+        return image.astype(np.float32)
+
+
+def check_wrist(T_camera_hand: Any) -> NDArray[np.float64]:
+    """`T_camera_hand` as a (4, 4) matrix.
+
+    Raises:
+        InputError: it is no rigid transform, or not in metres.
+    """
+    T = check_rigid(T_camera_hand, "T_camera_hand")
+    distance = np.abs(T[:3, 3]).max()
+    if distance > FARTHEST:
+        raise InputError(
+            f"T_camera_hand puts the hand {distance:.4g} m from the camera: its translation seems "
+            "to be in millimetres; multiply it by 0.001"
+        )
+    return T
 
 
 class _Clock:

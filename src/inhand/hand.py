@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from inhand.cache import cached
+from inhand.checks import number_array
 from inhand.errors import InputError
 from inhand.geometry import mesh as meshes
 from inhand.geometry.distance_field import DistanceField, build_distance_field
@@ -213,10 +214,7 @@ class Hand:
 
 
 def _finite(positions: ArrayLike) -> Array:
-    try:
-        array = np.asarray(positions, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"joint positions must be numbers: {error}") from error
+    array = number_array(positions, "joint positions", "numbers").astype(np.float64)
     if not np.isfinite(array).all():
         raise InputError("joint positions hold NaN or infinite numbers")
     return array

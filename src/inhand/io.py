@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
+from inhand.checks import file_path
 from inhand.errors import InputError
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.estimator import check_depth
@@ -147,7 +148,7 @@ def with_folder(path: str | Path, write: Callable[[Path], object]) -> None:
 
 
 def _existing(path: str | Path, what: str) -> Path:
-    path = Path(path)
+    path = file_path(path, what)
     if not path.exists():
         raise InputError(f"there is no {what} {path}")
     if not path.is_file():
@@ -229,7 +230,7 @@ def _read_json(path: str | Path) -> dict[str, Any]:
         fields = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not JSON: {error}") from error
     if not isinstance(fields, dict):
         raise InputError(f"{path} must hold a JSON object with named fields")

@@ -22,6 +22,8 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Units of length a mesh may come in, in metres."""
 SMALLEST, LARGEST = 0.005, 1.0
 """Diameters [m] between which an object may fit a hand."""
+FARTHEST = 10.0
+"""From an origin farther away [m], 32-bit positions are no longer good to a micrometre."""
 SURFACE_POINTS = 2000
 FIELD_MARGIN = 0.02
 """How far the distance field reaches beyond the surface [m]."""
@@ -62,10 +64,11 @@ class ObjectModel:
         Raises:
             InputError: unreadable or empty mesh, unknown unit, or a size that no hand holds.
         """
-        if unit not in UNITS:
+        if not isinstance(unit, str) or unit not in UNITS:
             raise InputError(f'unknown unit "{unit}"; known: {", ".join(UNITS)}')
-        if not (symmetry is None or symmetry == "none" or isinstance(symmetry, Symmetry)):
-            raise InputError(f'symmetry must be None, "none" or a Symmetry, got {symmetry!r}')
+        named = isinstance(symmetry, str) and symmetry == "none"
+        if not (symmetry is None or named or isinstance(symmetry, Symmetry)):
+            raise InputError(f'symmetry must be None, "none" or a Symmetry, got {symmetry!r:.80}')
         scale = UNITS[unit]
         name = "object"
         if isinstance(mesh, TriangleMesh):
@@ -76,11 +79,12 @@ class ObjectModel:
         else:
             mesh = from_trimesh(mesh, scale)
         _check_size(mesh.diameter, unit)
+        _check_place(mesh)
         arrays = cached(["object", mesh.content_key], lambda: _derive(mesh))
         model = _assemble(mesh, arrays, name)
         if symmetry is None:
             return model
-        if symmetry == "none":
+        if not isinstance(symmetry, Symmetry):  # "none"
             symmetry = Symmetry.none(model.symmetry.centre)
         return cls(mesh, model.surface, model.distance_field, model.pairs, symmetry, name)
 
@@ -120,6 +124,16 @@ def _check_size(diameter: float, unit: str) -> None:
         f'the object\'s diameter is {diameter:.4g} m (unit "{unit}"), expected between '
         f"{SMALLEST} m and {LARGEST:g} m{hint}"
     )
+
+
+def _check_place(mesh: TriangleMesh) -> None:
+    """Raise InputError for an object so far from its mesh's origin that kernels would round it."""
+    distance = np.abs(mesh.bounds).max()
+    if distance > FARTHEST:
+        raise InputError(
+            f"the object lies {distance:.4g} m away from the origin of its mesh, expected at most "
+            f"{FARTHEST:g} m; move the mesh to its origin"
+        )
 
 
 def _derive(mesh: TriangleMesh) -> dict[str, NDArray[Any]]:

@@ -13,6 +13,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from inhand.checks import file_path
 from inhand.errors import InputError
 from inhand.geometry.se3 import Array, exp_so3
 
@@ -109,7 +110,7 @@ def read_urdf(path: str | Path, package_paths: PackagePaths | None = None) -> Ro
         InputError: the file is missing or not a URDF, a number or name in it is wrong, a mesh
             file is not found, or its joints do not form one tree with a movable joint.
     """
-    path = Path(path)
+    path = file_path(path, "URDF file")
     robot = _parse_xml(path)
     name = robot.get("name") or path.stem
     find_mesh = _MeshFinder(path.resolve().parent, dict(package_paths or {}))

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from inhand.checks import number_array
 from inhand.errors import InputError
 
 Array = NDArray[np.float64]
@@ -16,12 +17,7 @@ def check_rigid(T: Any, name: str) -> Array:
     Raises:
         InputError: `T` is not a finite, right-handed rigid transform with last row 0 0 0 1.
     """
-    try:
-        matrix = np.array(T, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{name} must be a 4x4 matrix of numbers, got {type(T).__name__}"
-        ) from error
+    matrix = number_array(T, name, "a 4x4 matrix of numbers").astype(np.float64)
     if matrix.shape != (4, 4):
         raise InputError(f"{name} must be a 4x4 homogeneous matrix, got shape {matrix.shape}")
     if not np.isfinite(matrix).all():

@@ -1,6 +1,7 @@
 """The one seam between kernels and devices: how a launch is spread over CPU cores or a GPU."""
 
 import importlib
+import itertools
 import os
 import pkgutil
 from collections.abc import Callable, Sequence
@@ -61,7 +62,7 @@ def launch(
     edges = [dim * i // slices for i in range(slices + 1)]
     jobs = [
         _pool().submit(wp.launch, kernel, dim=b - a, inputs=[*inputs, a], device=device)
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in itertools.pairwise(edges)
         if b > a
     ]
     for job in jobs:

@@ -37,6 +37,7 @@ def pair_frame(p1: wp.vec3, n1: wp.vec3, p2: wp.vec3, n2: wp.vec3):
 
 @wp.func
 def angle_between(a: wp.vec3, b: wp.vec3):
+    """Angle [rad] between unit vectors."""
     return wp.acos(wp.clamp(wp.dot(a, b), -1.0, 1.0))
 
 

@@ -46,7 +46,8 @@ class FingerSearch:
         alone = [self._search(finger, T_camera_hand, palm, rng) for finger in self.hand.fingers]
         found = [configurations for configurations, _ in alone]
         order = np.argsort([-score for _, score in alone])
-        q, placed = self.hand.rest.copy(), []
+        q = self.hand.rest.copy()
+        placed: list[Finger] = []
         for rank, i in enumerate(order):
             finger = self.hand.fingers[i]
             if rank > 0:
@@ -67,7 +68,8 @@ class FingerSearch:
         alone = [self._score(f.links, q, T_camera_hand, palm)[0] for f in self.hand.fingers]
         total = np.sum(alone, axis=0)
         T = T_camera_hand[total.argmax()]
-        combined, placed = q[total.argmax()].copy(), []
+        combined = q[total.argmax()].copy()
+        placed: list[Finger] = []
         for i in np.argsort([-score.max() for score in alone]):
             finger = self.hand.fingers[i]
             others = self._render(combined, T, placed)

@@ -15,6 +15,19 @@ from inhand.kernels.depth import pinhole
 from inhand.kernels.depth_image import fit_planes, missing_share
 from inhand.kernels.launch import launch
 
+NEAREST = 1e-3
+"""Smaller depths are no readings [m]; their inverses would overflow."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Oriented points."""
+
+    points: NDArray[np.float32]
+    """Points [m], camera frame, shape (n, 3)."""
+    normals: NDArray[np.float32]
+    """Unit normals towards the camera, shape (n, 3)."""
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -36,8 +49,8 @@ class Observation:
     """Scene cloud P_S [m], camera frame, shape (n, 3)."""
     normals: NDArray[np.float32]
     """Unit normals of the scene cloud towards the camera, shape (n, 3)."""
-    pixels: NDArray[np.int32]
-    """Pixel (u, v) in the region of interest of every point, shape (n, 2)."""
+    every_pixel: "Cloud" = field(repr=False)
+    """All points that the scene cloud is an even subset of."""
     T_camera_hand: NDArray[np.float64]
     """The wrist pose as given, shape (4, 4)."""
 
@@ -73,8 +86,9 @@ def observe(
     roi = camera.crop(u0, v0, u1 - u0, v1 - v0)
     window = np.nan_to_num(depth[v0:v1, u0:u1], nan=0.0, posinf=0.0, neginf=0.0)
     near, far = centre[2] - radius, centre[2] + radius
+    window[window < NEAREST] = 0.0
     # A reading behind the region of interest still proves free space: it is kept as an image.
-    inside = (window > max(near, 1e-3)) & (window < far)
+    inside = (window > max(near, 0.0)) & (window < far)
     if inside.sum() < config.min_points:
         raise NoAnswer(
             f"only {int(inside.sum())} depth readings lie in the region of the hand "
@@ -99,15 +113,16 @@ def observe(
         device,
         work_per_item=10,
     )
-    cloud = _sample_cloud(
+    every_pixel, on_grid = _clouds(
         smooth.numpy().reshape(window.shape),
         normals.numpy().reshape(*window.shape, 3),
         inside,
         roi,
-        centre,
-        radius,
-        config,
+        (centre, radius),
+        config.point_spacing,
     )
+    if on_grid.sum() < config.min_points:
+        raise NoAnswer("almost no depth readings lie in the region of the hand")
     return Observation(
         camera=roi,
         offset=(u0, v0),
@@ -115,9 +130,9 @@ def observe(
         depth_on_device=flat,
         normals_on_device=normals,
         missing_on_device=missing,
-        points=cloud[0],
-        normals=cloud[1],
-        pixels=cloud[2],
+        points=every_pixel.points[on_grid],
+        normals=every_pixel.normals[on_grid],
+        every_pixel=every_pixel,
         T_camera_hand=T_camera_hand,
     )
 
@@ -139,33 +154,29 @@ def _window(
         spans.append((max(low, 0), min(high, size)))
     (u0, u1), (v0, v1) = spans
     if u1 - u0 < 8 or v1 - v0 < 8:
-        raise NoAnswer("the wrist pose puts the hand outside the image")
+        raise NoAnswer(
+            f"the wrist pose puts the hand outside the image, or too far away ({centre[2]:.2f} m) "
+            "to be seen in it"
+        )
     return u0, v0, u1, v1
 
 
-def _sample_cloud(
+def _clouds(
     smooth: NDArray[np.float32],
     normals: NDArray[np.float32],
     inside: NDArray[np.bool_],
     roi: Camera,
-    centre: NDArray[np.float64],
-    radius: float,
-    config: ObservationConfig,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
-    """Points, normals and pixels of an even subset of the region of interest."""
-    typical = float(np.median(smooth[inside]))
-    step = max(1, round(config.point_spacing * roi.fx / typical))
-    grid = np.zeros_like(inside)
-    grid[step // 2 :: step, step // 2 :: step] = True
-    known = np.abs(normals).sum(axis=2) > 0
-    v, u = np.nonzero(grid & inside & known)
+    sphere: tuple[NDArray[np.float64], float],
+    spacing: float,
+) -> tuple[Cloud, NDArray[np.bool_]]:
+    """The points of all pixels in the sphere, and which of them lie on a grid of this spacing."""
+    step = max(1, round(spacing * roi.fx / float(np.median(smooth[inside]))))
+    v, u = np.nonzero(inside & (normals[..., 2] != 0))
     z = smooth[v, u]
     points = np.stack([(u - roi.cx) / roi.fx * z, (v - roi.cy) / roi.fy * z, z], 1)
-    near = np.linalg.norm(points - centre, axis=1) < radius
-    if near.sum() < config.min_points:
-        raise NoAnswer("almost no depth readings lie in the region of the hand")
+    near = np.linalg.norm(points - sphere[0], axis=1) < sphere[1]
+    on_grid = (u % step == step // 2) & (v % step == step // 2)
     return (
-        points[near].astype(np.float32),
-        normals[v, u][near].astype(np.float32),
-        np.stack([u, v], 1)[near].astype(np.int32),
+        Cloud(points[near].astype(np.float32), normals[v, u][near].astype(np.float32)),
+        on_grid[near],
     )

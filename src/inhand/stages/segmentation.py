@@ -9,7 +9,7 @@ from inhand.errors import NoAnswer
 from inhand.kernels.hand_fit import hand_distances
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, device_poses
-from inhand.stages.observation import Observation
+from inhand.stages.observation import Cloud, Observation
 from inhand.stages.results import HandState, Segment
 
 
@@ -24,36 +24,46 @@ def segment_object(
 
     The paper drops every point nearer than 3 mm to the hand (SDF(p, x_H) < epsilon). By default
     points near the hand keep a weight that grows with their distance, so that the contact zone
-    still counts. Points too far from the hand to be on an object it touches are dropped.
+    still counts, and a small segment takes every pixel. Points too far from the hand to be on an
+    object it touches are dropped.
 
     Raises:
         NoAnswer: too few points are left.
     """
+    segment = _segment(
+        Cloud(observation.points, observation.normals), hand_state, hand, object_diameter, config
+    )
+    if config.method == "soft" and len(segment.points) < config.dense_below:
+        segment = _segment(observation.every_pixel, hand_state, hand, object_diameter, config)
+    if segment.weight.sum() < config.min_points:
+        raise NoAnswer(
+            f"only {len(segment.points)} depth readings near the hand do not belong to it: the "
+            "object is hidden, is not in the hand, or gives no depth readings"
+        )
+    return segment
+
+
+def _segment(
+    cloud: Cloud,
+    hand_state: HandState,
+    hand: PackedHand,
+    object_diameter: float,
+    config: SegmentationConfig,
+) -> Segment:
+    """The points of the cloud that the hand does not explain."""
     farthest = 2 * object_diameter
     everything = np.ones(len(hand.hand.links), dtype=bool)
-    distance = distances_to_hand(observation.points, hand_state, hand, everything, farthest)
+    distance = distances_to_hand(cloud.points, hand_state, hand, everything, farthest)
     if config.method == "threshold":
         weight = (distance >= config.hand_distance).astype(np.float32)
     else:
         weight = _not_hand(distance, config)
-        distance = distances_to_hand(
-            observation.points, hand_state, hand, hand_state.certain, farthest
-        )
+        distance = distances_to_hand(cloud.points, hand_state, hand, hand_state.certain, farthest)
         share = config.uncertain_weight
         weight = _not_hand(distance, config) * (share + (1 - share) * weight)
     weight[distance > object_diameter + config.certain_distance] = 0.0
     keep = weight > 0
-    if weight.sum() < config.min_points:
-        raise NoAnswer(
-            f"only {int(keep.sum())} depth points near the hand do not belong to it: the object is "
-            "hidden, is not in the hand, or gives no depth readings"
-        )
-    return Segment(
-        observation.points[keep],
-        observation.normals[keep],
-        distance[keep],
-        weight[keep].astype(np.float32),
-    )
+    return Segment(cloud.points[keep], cloud.normals[keep], distance[keep], weight[keep])
 
 
 def _not_hand(distance: NDArray[np.float32], config: SegmentationConfig) -> NDArray[np.float32]:

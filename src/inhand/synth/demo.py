@@ -4,6 +4,7 @@ Poses and joint positions are written down instead of drawn, so that these scene
 when the way random scenes are drawn changes. Only sensor and wrist errors come from a seed.
 """
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -127,7 +128,7 @@ def builtin_hand() -> Hand:
 @cache
 def builtin_object(name: str) -> ObjectModel:
     """One of the project's own objects, by its name in `OBJECTS`."""
-    return ObjectModel.from_mesh(OBJECTS[name]())
+    return replace(ObjectModel.from_mesh(OBJECTS[name]()), name=name)
 
 
 def _build(fixed: FixedScene, seed: int, device: str) -> Scene:
