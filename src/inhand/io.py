@@ -145,6 +145,8 @@ def with_folder(path: str | Path, write: Callable[[Path], object]) -> None:
         write(path)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+    except ValueError as error:  # an ending that names no image format
+        raise InputError(f"cannot write {path}: {error}") from error
 
 
 def _existing(path: str | Path, what: str) -> Path:

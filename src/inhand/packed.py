@@ -24,6 +24,7 @@ class PackedHand:
         link: index of the link of every sample, int.
         point_start: first sample of every link, numpy (L + 1,).
         spheres: bounding sphere of every link, link frame (centre, radius) [m], `wp.vec4`.
+        is_palm: whether each link is rigid with the root, numpy (L,).
         renderer: ray caster of the links.
     """
 
@@ -43,6 +44,7 @@ class PackedHand:
         self.spheres = wp.array(
             [bounding_sphere(link.mesh) for link in hand.links], dtype=wp.vec4, device=device
         )
+        self.is_palm = np.isin(np.arange(len(hand.links)), hand.palm_links)
         self.renderer = DepthRenderer([link.mesh for link in hand.links], device)
 
     def link_poses(

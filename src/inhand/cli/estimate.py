@@ -60,6 +60,7 @@ def run(args: Estimate) -> int:
 
     console = Console()
     progress = Console(stderr=True)
+    config = make_config(args.preset, args.seed)
     camera = Camera.from_json(args.camera)
     depth = read_depth(args.depth, camera)
     colour = None if args.rgb is None else read_colour(args.rgb, camera)
@@ -69,7 +70,6 @@ def run(args: Estimate) -> int:
     with progress.status("Building the models of hand and object (from the cache next time)"):
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
-    config = make_config(args.preset, args.seed)
     estimate = PoseEstimator(hand, obj, config=config, device=device).estimate(
         depth, camera, T_camera_hand
     )

@@ -1,24 +1,40 @@
-"""How far an estimate is from the truth, and how sure a share or a confidence is."""
+"""How far an estimate is from the truth.
 
-from collections.abc import Mapping
+MSSD, MSPD and their thresholds: Hodan et al., "BOP Challenge 2020 on 6D object localization" (2020),
+section 2.2.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from inhand.errors import InputError
+from inhand.camera import Camera
 from inhand.geometry.mesh import TriangleMesh, points_on_faces
 from inhand.geometry.se3 import inverse, rotation_angle, skew, transform
 from inhand.object_model import ObjectModel
-from inhand.object_symmetry import rotations_about
+from inhand.object_symmetry import Symmetry, rotations_about
 
 MODEL_POINTS = 5000
 """Points of the object model that ADI and ADD are averaged over."""
 
+SYMMETRY_STEPS = 315
+"""Rotations that stand for a continuous symmetry in MSSD and MSPD: apart from each other by 1 % of
+the diameter along the object's rim, as in BOP."""
+MSSD_THRESHOLDS = np.arange(1, 11) * 0.05
+"""BOP's thresholds of MSSD, in diameters of the object."""
+MSPD_THRESHOLDS = np.arange(1, 11) * 5.0
+"""BOP's thresholds of MSPD [pixel], for an image that is `MSPD_WIDTH` pixels wide."""
+MSPD_WIDTH = 640
+
 # Screening of many poses: rounds of (model points looked up, poses that go on to the next round).
 _SCREENING = ((40, 400), (400, 5))
+# Vertices that bound the largest distance of a pose from below.
+_FEW_POINTS = 40
 # Poses looked up in one go, to bound the memory.
 _CHUNK = 2000
 
@@ -32,6 +48,30 @@ class PoseError(NamedTuple):
     """[m]."""
     rotation: float
     """[rad], 0 to pi."""
+
+
+@dataclass(frozen=True)
+class PoseScores:
+    """Every error of an estimated object pose. Lengths [m]."""
+
+    adi: float
+    """ADI of the paper: from the estimate's points to the truth's."""
+    adi_from_truth: float
+    """ADI of the BOP toolkit: from the truth's points to the estimate's."""
+    add: float
+    """ADD to the symmetric pose of the truth that is turned least from the estimate."""
+    mssd: float
+    """Maximum symmetry-aware surface distance."""
+    mspd: float | None
+    """Maximum symmetry-aware projection distance [pixel]; None behind the camera."""
+    translation_error: float
+    """Displacement of the object's symmetry centre."""
+    rotation_error: float
+    """Rotation to the nearest symmetric pose [rad]."""
+    mssd_share: float
+    """Share of BOP's MSSD thresholds that the pose stays below."""
+    mspd_share: float
+    """Share of BOP's MSPD thresholds that the pose stays below."""
 
 
 def sample_model(mesh: TriangleMesh, count: int = MODEL_POINTS, seed: int = 0) -> Array:
@@ -51,7 +91,7 @@ def adi(tree: KDTree, T_estimate: Array, T_truth: Array) -> float:
     """ADI [m]: mean distance of the estimate's model points to the nearest point of the truth's.
 
     Paper, section V-A. Blind to symmetries of the object, and to errors far below the spacing of
-    the points.
+    the points. The BOP toolkit measures from the truth's points to the estimate's: swap the poses.
 
     Args:
         tree: the model points, model frame.
@@ -85,6 +125,24 @@ class ObjectMetric:
         """ADI [m] of an estimated pose, shape (4, 4)."""
         return adi(self._tree, np.asarray(T_estimate, np.float64), T_truth)
 
+    def scores(self, T_estimate: Array, T_truth: Array, camera: Camera) -> PoseScores:
+        """Every error of an estimated pose, shape (4, 4), seen by `camera`."""
+        T_estimate = np.asarray(T_estimate, dtype=np.float64)
+        pose = self.pose_error(T_estimate, T_truth)
+        mssd = self.mssd(T_estimate, T_truth)
+        mspd = self.mspd(T_estimate, T_truth, camera)
+        return PoseScores(
+            adi=self.adi(T_estimate, T_truth),
+            adi_from_truth=self.adi(T_truth, T_estimate),
+            add=self.add(T_estimate, T_truth),
+            mssd=mssd,
+            mspd=mspd if np.isfinite(mspd) else None,
+            translation_error=pose.translation,
+            rotation_error=pose.rotation,
+            mssd_share=float((mssd < MSSD_THRESHOLDS * self.model.mesh.diameter).mean()),
+            mspd_share=float((mspd < MSPD_THRESHOLDS * camera.width / MSPD_WIDTH).mean()),
+        )
+
     def best_adi(self, T_estimates: NDArray[np.floating], T_truth: Array) -> float | None:
         """The smallest ADI [m] among poses of shape (m, 4, 4); None when there are none.
 
@@ -115,6 +173,43 @@ class ObjectMetric:
         symmetric = self._nearest_symmetric(T_estimate, T_truth)
         return add(self.points, np.asarray(T_estimate, np.float64), symmetric)
 
+    def mssd(self, T_estimate: Array, T_truth: Array) -> float:
+        """MSSD [m]: the largest distance of a vertex from its place in the truth.
+
+        Of the poses that look like the truth, the one that makes it smallest counts. No vertex
+        moves farther than the farthest one of the convex hull.
+        """
+
+        def distances(T: Array, points: Array) -> Array:
+            difference = T_estimate - T
+            moved = points @ difference[:, :3, :3].swapaxes(1, 2) + difference[:, None, :3, 3]
+            return np.asarray(np.linalg.norm(moved, axis=2))
+
+        alike = self._symmetric_poses(T_estimate, T_truth)
+        return _smallest_maximum(distances, alike, self.model.mesh.hull_vertices)
+
+    def mspd(self, T_estimate: Array, T_truth: Array, camera: Camera) -> float:
+        """MSPD [pixel]: as MSSD, between the vertices' projections; infinite behind the camera."""
+
+        def distances(T: Array, points: Array) -> Array:
+            estimate, truth = _project(T_estimate[None], points), _project(T, points)
+            focal = np.array([camera.fx, camera.fy])
+            return np.asarray(np.linalg.norm(focal * (estimate - truth), axis=2))
+
+        alike = self._symmetric_poses(T_estimate, T_truth)
+        mesh = self.model.mesh
+        vertices = mesh.vertices[np.unique(mesh.faces)]
+        if transform(T_estimate, vertices)[:, 2].min() <= 0:
+            return float("inf")
+        return _smallest_maximum(distances, alike, vertices)
+
+    def _symmetric_poses(self, T_estimate: Array, T_truth: Array) -> Array:
+        """The poses that look like the truth, shape (k, 4, 4); of a sphere, the nearest one."""
+        symmetry = self.model.symmetry
+        if _is_sphere(symmetry):
+            return _turned_to(T_estimate, T_truth, symmetry.centre)[None]
+        return np.asarray(T_truth @ symmetry.representatives(SYMMETRY_STEPS))
+
     def pose_error(self, T_estimate: Array, T_truth: Array) -> PoseError:
         """Error up to the object's symmetries.
 
@@ -130,14 +225,42 @@ class ObjectMetric:
     def _nearest_symmetric(self, T_estimate: Array, T_truth: Array) -> Array:
         """The pose, among those that look like the truth, whose rotation is nearest."""
         symmetry = self.model.symmetry
+        if _is_sphere(symmetry):
+            return _turned_to(T_estimate, T_truth, symmetry.centre)
         alike = T_truth @ symmetry.rotations
         if symmetry.axis is not None:
             angles = _nearest_spin((inverse(alike) @ T_estimate)[:, :3, :3], symmetry.axis)
             alike = alike @ rotations_about(symmetry.centre, symmetry.axis, angles)
-        if symmetry.axis is not None and len(symmetry.rotations) > 2:  # a sphere
-            alike = _turned_to(T_estimate, T_truth, symmetry.centre)[None]
         differences = rotation_angle(alike[:, :3, :3], T_estimate[None, :3, :3])
         return np.asarray(alike[np.argmin(differences)])
+
+
+def _is_sphere(symmetry: Symmetry) -> bool:
+    return symmetry.axis is not None and len(symmetry.rotations) > 2
+
+
+def _smallest_maximum(
+    distances: Callable[[Array, Array], Array], poses: Array, points: Array
+) -> float:
+    """Over the poses, the smallest of their largest distances over the points.
+
+    A few points bound every pose's largest distance from below, so the poses are gone through in
+    the order of this bound, and most need not be looked at with all points.
+    """
+    few = points[:: -(-len(points) // _FEW_POINTS)]
+    bound = distances(poses, few).max(axis=1)
+    best = float("inf")
+    for i in np.argsort(bound, kind="stable"):
+        if bound[i] >= best:
+            break
+        best = min(best, float(distances(poses[i : i + 1], points).max()))
+    return best
+
+
+def _project(T: Array, points: Array) -> Array:
+    """Points (n, 3) moved by poses (k, 4, 4) and projected at focal length 1, shape (k, n, 2)."""
+    moved = points @ T[:, :3, :3].swapaxes(1, 2) + T[:, None, :3, 3]
+    return np.asarray(moved[..., :2] / moved[..., 2:])
 
 
 def _nearest_spin(R: Array, axis: Array) -> Array:
@@ -172,38 +295,3 @@ def angle_errors(estimate: Mapping[str, float], truth: Mapping[str, float]) -> d
         for name in truth
         if name in estimate
     }
-
-
-def wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """Confidence interval of a share by Wilson's score method (95 % at z = 1.96); (0, 1) of none.
-
-    Raises:
-        InputError: `successes` is not between 0 and `trials`.
-    """
-    if not 0 <= successes <= trials:
-        raise InputError(f"{successes} successes of {trials} trials is not a share")
-    if trials == 0:
-        return 0.0, 1.0
-    share = successes / trials
-    scale = 1 + z * z / trials
-    middle = (share + z * z / (2 * trials)) / scale
-    half = z / scale * np.sqrt(share * (1 - share) / trials + (z / (2 * trials)) ** 2)
-    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
-
-
-def auroc(scores: ArrayLike, correct: ArrayLike) -> float | None:
-    """Chance that a correct answer has a higher score than a wrong one, ties counted half.
-
-    The area under the receiver operating characteristic. None without both kinds of answers.
-
-    Args:
-        scores: confidences, shape (n,).
-        correct: whether each answer is right, shape (n,).
-    """
-    values, right = np.asarray(scores, dtype=np.float64), np.asarray(correct, dtype=bool)
-    wrong_scores = np.sort(values[~right])
-    if not right.any() or right.all():
-        return None
-    below = np.searchsorted(wrong_scores, values[right], side="left")
-    not_above = np.searchsorted(wrong_scores, values[right], side="right")
-    return float((below + not_above).mean() / 2 / len(wrong_scores))

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from inhand.evaluation.diagnosis import POSE_STAGES, SOLVED, STAGES, is_good
-from inhand.evaluation.metrics import auroc, wilson_interval
+from inhand.evaluation.statistics import auroc, wilson_interval
 from inhand.evaluation.results import JOINT_PIXELS, FrameResult
 
 THRESHOLDS = {"2 mm": 0.002, "5 mm": 0.005, "10 mm": 0.010}

@@ -10,7 +10,7 @@ from inhand.config import ClusteringConfig
 from inhand.kernels.launch import launch
 from inhand.kernels.pose_distance import surface_distances
 from inhand.packed import PackedObject, device_poses
-from inhand.stages.evidence import Evidence, score
+from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.results import PoseSet
 from inhand.stages.se3_clustering import cluster_se3
 
@@ -28,15 +28,13 @@ def cluster(
     n = min(config.shortlist, len(hypotheses))
     best = np.argpartition(-hypotheses.score, n - 1)[:n]
     shortlist = hypotheses.take(np.sort(best))
-    scores = score(
+    scores = score_with_contact(
         evidence,
         obj,
         shortlist.T_camera_object,
-        np.arange(n),
         model_points=config.model_points,
         segment_points=config.segment_points,
         tolerance=config.tolerance,
-        contact=True,
     )
     return distinct_poses(
         PoseSet(shortlist.T_camera_object, scores), obj, config.surface_distance, config.keep

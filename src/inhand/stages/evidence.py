@@ -73,22 +73,18 @@ def score(
     model_points: int,
     segment_points: int,
     tolerance: float,
-    contact: bool = False,
 ) -> NDArray[np.float32]:
     """Scores, shape (k,), of the poses at `index` of a device array of poses.
 
     Args:
         evidence: the evidence.
         obj: the object.
-        T_camera_object: `wp.array` of `wp.mat44`, or transforms of shape (m, 4, 4).
+        T_camera_object: poses on the device, `wp.array` of `wp.mat44`.
         index: which poses, shape (k,).
         model_points, segment_points: how many of each are used; more is finer and slower.
         tolerance: depth agreement of a model point with its pixel [m].
-        contact: subtract the penalty for running into the hand or not touching it.
     """
     device = obj.device
-    if not isinstance(T_camera_object, wp.array):
-        T_camera_object = device_poses(T_camera_object, device)
     out = wp.empty(len(index), dtype=float, device=device)
     rule, config = Visibility(), evidence.config
     rule.tolerance, rule.violation = tolerance, config.violation
@@ -103,35 +99,68 @@ def score(
         device,
         work_per_item=n + evidence.segment_size // stride,
     )
-    scores = np.asarray(out.numpy())
-    if contact:
-        scores = scores - contact_penalty(evidence, obj, T_camera_object, len(index))
-    return scores
+    return np.asarray(out.numpy())
+
+
+def score_with_contact(
+    evidence: Evidence,
+    obj: PackedObject,
+    T_camera_object: NDArray[np.floating[Any]],
+    *,
+    model_points: int,
+    segment_points: int,
+    tolerance: float,
+) -> NDArray[np.float32]:
+    """Scores, shape (m,), of poses (m, 4, 4): as `score`, less the `contact_penalty`."""
+    poses, count = device_poses(T_camera_object, obj.device), len(T_camera_object)
+    fit = score(
+        evidence,
+        obj,
+        poses,
+        np.arange(count),
+        model_points=model_points,
+        segment_points=segment_points,
+        tolerance=tolerance,
+    )
+    return fit - contact_penalty(evidence, obj, poses, count)
 
 
 def contact_penalty(
     evidence: Evidence, obj: PackedObject, T_camera_object: Any, count: int
 ) -> NDArray[np.float32]:
-    """Penalty, shape (count,), of poses that run into the hand or do not touch it.
+    """Penalty, shape (count,), of poses that run into the hand or that no finger touches.
 
-    Only links that the image supports count; where others are is unknown, and the object may touch
-    those.
+    Where a link is that the image does not support is unknown: the object may run into it, and may
+    touch it elsewhere.
     """
-    device, c, state = obj.device, evidence.config, evidence.hand_state
-    farthest = c.uncertain_gap + c.max_contact_penalty * c.gap_scale
+    c, state = evidence.config, evidence.hand_state
+    depth = -_clearance(evidence, obj, T_camera_object, count, state.certain, 0.0)
+    free_gap = c.free_gap if state.certain.all() else c.uncertain_gap
+    farthest = free_gap + c.max_contact_penalty * c.gap_scale
+    gap = _clearance(evidence, obj, T_camera_object, count, ~evidence.hand.is_palm, farthest)
+    penetration = (depth - c.free_penetration) / c.penetration_scale
+    distance = (gap - free_gap) / c.gap_scale
+    return np.clip(np.maximum(penetration, distance), 0, c.max_contact_penalty).astype(np.float32)
+
+
+def _clearance(
+    evidence: Evidence,
+    obj: PackedObject,
+    T_camera_object: Any,
+    count: int,
+    links: NDArray[np.bool_],
+    farthest: float,
+) -> NDArray[np.float32]:
+    """Smallest signed distance [m], shape (count,), of posed objects to some links of the hand."""
+    device, hand = obj.device, evidence.hand
     clearance = wp.empty(count, dtype=float, device=device)
     launch(
         hand_clearance,
         count,
-        [T_camera_object, obj.points, c.contact_points, evidence.hand.fields]
-        + [evidence.hand.spheres, device_poses(state.T_camera_link, device)]
-        + [wp.array(state.certain.astype(np.int32), dtype=int, device=device)]
-        + [farthest, clearance],
+        [T_camera_object, obj.points, evidence.config.contact_points, hand.fields, hand.spheres]
+        + [device_poses(evidence.hand_state.T_camera_link, device)]
+        + [wp.array(links.astype(np.int32), dtype=int, device=device), farthest, clearance],
         device,
-        work_per_item=4 * c.contact_points,
+        work_per_item=4 * evidence.config.contact_points,
     )
-    distance = clearance.numpy()
-    free_gap = c.free_gap if state.certain.all() else c.uncertain_gap
-    penetration = (-distance - c.free_penetration) / c.penetration_scale
-    gap = (distance - free_gap) / c.gap_scale
-    return np.clip(np.maximum(penetration, gap), 0, c.max_contact_penalty).astype(np.float32)
+    return np.asarray(clearance.numpy())

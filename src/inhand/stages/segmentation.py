@@ -24,8 +24,8 @@ def segment_object(
 
     The paper drops every point nearer than 3 mm to the hand (SDF(p, x_H) < epsilon). By default
     points near the hand keep a weight that grows with their distance, so that the contact zone
-    still counts, and a small segment takes every pixel. Points too far from the hand to be on an
-    object it touches are dropped.
+    still counts, and a small segment takes every pixel. Points too far from all fingers to be on
+    an object they hold are dropped.
 
     Raises:
         NoAnswer: too few points are left.
@@ -52,16 +52,18 @@ def _segment(
 ) -> Segment:
     """The points of the cloud that the hand does not explain."""
     farthest = 2 * object_diameter
-    everything = np.ones(len(hand.hand.links), dtype=bool)
-    distance = distances_to_hand(cloud.points, hand_state, hand, everything, farthest)
+    moving = ~hand.is_palm
+    to_certain = distances_to_hand(cloud.points, hand_state, hand, hand_state.certain, farthest)
+    to_finger = distances_to_hand(cloud.points, hand_state, hand, moving, farthest)
+    to_hand = np.minimum(to_certain, to_finger)
     if config.method == "threshold":
+        distance = to_hand
         weight = (distance >= config.hand_distance).astype(np.float32)
     else:
-        weight = _not_hand(distance, config)
-        distance = distances_to_hand(cloud.points, hand_state, hand, hand_state.certain, farthest)
-        share = config.uncertain_weight
-        weight = _not_hand(distance, config) * (share + (1 - share) * weight)
-    weight[distance > object_diameter + config.certain_distance] = 0.0
+        distance, share = to_certain, config.uncertain_weight
+        weight = _not_hand(distance, config) * (share + (1 - share) * _not_hand(to_hand, config))
+    # An object that a finger touches ends within its diameter of that finger.
+    weight[to_finger > object_diameter + config.certain_distance] = 0.0
     keep = weight > 0
     return Segment(cloud.points[keep], cloud.normals[keep], distance[keep], weight[keep])
 

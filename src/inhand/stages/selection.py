@@ -5,7 +5,7 @@ import numpy as np
 from inhand.config import SelectionConfig
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import distinct_poses
-from inhand.stages.evidence import Evidence, score
+from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.observation import Observation
 from inhand.stages.render_selection import select_by_rendering
 from inhand.stages.results import HandState, PoseSet, Segment, Selection
@@ -29,15 +29,13 @@ def select(
     if config.method == "render":
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
         return Selection(ranked, _confidence(ranked, config))
-    scores = score(
+    scores = score_with_contact(
         evidence,
         obj,
         poses.T_camera_object,
-        np.arange(len(poses)),
         model_points=config.model_points,
         segment_points=config.segment_points,
         tolerance=config.tolerance,
-        contact=True,
     )
     ranked = distinct_poses(
         PoseSet(poses.T_camera_object, scores), obj, config.merge_distance, config.candidates

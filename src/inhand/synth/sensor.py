@@ -1,16 +1,22 @@
 """What a depth camera makes of a perfect depth image, and how wrongly the wrist is known."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from scipy.special import ndtri
 
 from inhand.camera import Camera
 from inhand.geometry import se3
+from inhand.kernels.depth import pinhole
+from inhand.kernels.launch import launch
+from inhand.synth.kernels import incidence_angles
 
-Image = NDArray[np.float64]
+Image = NDArray[Any]
+"""Floating-point numbers, shape (H, W)."""
 
 
 @dataclass(frozen=True)
@@ -18,8 +24,9 @@ class SensorModel:
     """Errors of a depth camera; a field at 0 switches its error off.
 
     "Nguyen" is Nguyen, Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D
-    Reconstruction and Tracking", 3DIMPVT 2012. Angles are between the line of sight and the
-    surface normal. Fields without a source are choices of ours.
+    Reconstruction and Tracking", 3DIMPVT 2012. "Intel" is Grunnet-Jepsen, Sweetser and Woodfill,
+    "Tuning depth cameras for best performance", on the RealSense D400. Angles are between the line
+    of sight and the surface normal. Fields without a source are choices of ours.
     """
 
     quantisation: float = 0.0001
@@ -33,6 +40,16 @@ class SensorModel:
     0.0001 / sqrt(z) * angle^2 / (pi/2 - angle)^2."""
     axial_growth: float = 0.0
     """Growth of the axial sd with distance [1/m]; Nguyen: 0.0019."""
+    disparity: float = 0.0
+    """Sd of the error of the disparity fx baseline / z [pixel], so that the depth error grows as
+    disparity z^2 / (fx baseline). Intel: 0.08 for a well-textured surface, the projector's dots
+    included."""
+    disparity_step: float = 0.0
+    """Step of the disparity [pixel]. Matchers that interpolate between pixels reach 1/32 (Intel's
+    white paper "Subpixel linearity improvement for D400")."""
+    fattening: int = 0
+    """Pixels by which near surfaces grow over far ones: a matched block that straddles an edge
+    takes the disparity of the side with more contrast, mostly the near one."""
     correlation: float = 0.0
     """Sd of the Gaussian over which neighbouring errors agree [pixel]: a pattern is matched over a
     window, so that neighbours share their error."""
@@ -44,8 +61,8 @@ class SensorModel:
     flying_step: float = 0.01
     """Depth step that counts as an edge for flying pixels [m]."""
     baseline: float = 0.0
-    """Distance of the pattern projector from the camera along +x [m]: what it cannot see has no
-    reading."""
+    """Distance of the pattern projector, or of the second camera, from the camera along +x [m]:
+    what it cannot see has no reading."""
     hole_share: float = 0.0
     """Share of the image that is lost in blobs (reflections, dark spots)."""
     hole_size: float = 3.0
@@ -66,7 +83,29 @@ STRUCTURED_LIGHT = SensorModel(
     baseline=0.05,
     hole_share=0.01,
 )
-"""A structured-light camera at close range, with Nguyen's noise and a shorter, 50 mm baseline."""
+"""A structured-light camera at close range: Nguyen's noise; reads whole millimetres, as the
+cameras of this kind do; a 50 mm baseline (shorter than the Kinect's 75 mm) and the rest are choices
+of ours."""
+
+ACTIVE_STEREO = SensorModel(
+    quantisation=0.001,
+    lateral=0.5,
+    disparity=0.08,
+    disparity_step=1 / 32,
+    fattening=1,
+    correlation=2.0,
+    grazing=(np.radians(72), np.radians(86)),
+    flying_share=0.15,
+    baseline=0.05,
+    hole_share=0.005,
+)
+"""Two infrared cameras and a dot projector: disparity errors as Intel states them, the 50 mm
+baseline and 1 mm steps of the RealSense D435. Matching over a block makes errors smoother and edges
+fatter than structured light's, and needs less light back from a grazing surface; how much so are
+choices of ours."""
+
+SENSORS = {"none": PERFECT, "structured_light": STRUCTURED_LIGHT, "active_stereo": ACTIVE_STEREO}
+"""The sensor models by name."""
 
 
 def observe(
@@ -83,23 +122,46 @@ def observe(
     Returns:
         Depth z [m], shape (H, W), 0 where there is no reading.
     """
-    true = np.asarray(depth, dtype=np.float64)
-    angle = incidence_angle(true, camera)
-    reading = _displaced(true, angle, model, rng)
-    reading += (
-        (reading > 0)
-        * _axial_sd(reading, angle, model)
-        * _noise(true.shape, model.correlation, rng)
+    reading = np.zeros(depth.shape)
+    seen = _bounds(depth > 0)
+    if seen is None:
+        return reading.astype(np.float32)
+    rows, columns = seen
+    window = camera.crop(
+        columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
     )
-    flying, between = _flying_pixels(true, model, rng)
-    reading[flying] = between[flying]
-    start, end = model.grazing
-    lost = rng.random(true.shape) * (end - start) < angle - start
-    lost |= _in_projector_shadow(true, camera, model.baseline)
-    lost |= _holes(true.shape, model, rng)
-    reading[lost | (true == 0)] = 0.0
+    reading[seen] = _observed(np.ascontiguousarray(depth[seen], np.float32), window, model, rng)
     steps = np.rint(np.maximum(reading, 0.0) / model.quantisation)
     return np.asarray(steps * model.quantisation, dtype=np.float32)
+
+
+def _observed(true: Image, camera: Camera, model: SensorModel, rng: np.random.Generator) -> Image:
+    """The reading before quantisation [m], 0 where there is none."""
+    if model == SensorModel(model.quantisation):
+        return true
+    surface = _fattened(true, model.fattening)
+    angle = incidence_angle(surface, camera)
+    reading = _displaced(surface, angle, model, rng)
+    if model.axial > 0:
+        noise = _noise(surface.shape, model, rng)
+        reading += (reading > 0) * _axial_sd(reading, angle, model) * noise
+    if model.disparity > 0:
+        reading = _through_disparity(reading, camera, model, rng)
+    reading = _with_flying_pixels(reading, model, rng)
+    start, end = model.grazing
+    lost = rng.random(surface.shape, np.float32) * (end - start) < angle - start
+    lost |= _in_projector_shadow(surface, camera, model.baseline)
+    lost |= _holes(surface.shape, model, rng)
+    reading[lost | (surface == 0)] = 0.0
+    return reading
+
+
+def _bounds(shown: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+    """Rows and columns from the first to the last marked pixel; None when none is marked."""
+    rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    if not len(rows):
+        return None
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 def perturb_wrist(
@@ -125,78 +187,79 @@ def perturb_wrist(
 
 
 def incidence_angle(depth: Image, camera: Camera) -> Image:
-    """Angle between line of sight and surface normal [rad], shape (H, W); pi/2 without surface.
-
-    From differences to the neighbours that are nearer in depth, so that a depth edge is not taken
-    for a grazing surface.
-    """
-    v, u = np.indices(depth.shape)
-    rays = np.stack(
-        [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(depth)], axis=-1
-    )
-    points = np.where(depth > 0, depth, np.nan)[..., None] * rays
-    normals = np.cross(_smaller_step(points, axis=1), _smaller_step(points, axis=0))
-    lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(rays, axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine = np.abs(np.sum(normals * rays, axis=-1)) / lengths
-    return np.asarray(np.arccos(np.clip(np.nan_to_num(cosine), 0.0, 1.0)))
+    """Angle between line of sight and surface normal [rad], shape (H, W); pi/2 without surface."""
+    angle = wp.empty(depth.size, dtype=float, device="cpu")
+    image = wp.array(depth, dtype=float, device="cpu")
+    inputs = [pinhole(camera), image, angle]
+    launch(incidence_angles, depth.size, inputs, "cpu", work_per_item=10)
+    return np.asarray(angle.numpy().reshape(depth.shape))
 
 
-def _smaller_step(points: Image, axis: int) -> Image:
-    """Difference to the next or previous point, whichever changes depth less; NaN if none."""
-    forward = np.full_like(points, np.nan)
-    step = np.diff(points, axis=axis)
-    ahead, behind = [slice(None)] * 2, [slice(None)] * 2
-    ahead[axis], behind[axis] = slice(None, -1), slice(1, None)
-    backward = forward.copy()
-    forward[tuple(ahead)], backward[tuple(behind)] = step, step
-    size = [np.nan_to_num(np.abs(d[..., 2]), nan=np.inf) for d in (forward, backward)]
-    return np.where((size[0] <= size[1])[..., None], forward, backward)
+def _noise(shape: tuple[int, ...], model: SensorModel, rng: np.random.Generator) -> Image:
+    """Gaussian noise of unit variance, over which neighbours agree as the model says."""
+    return _smooth_noise(shape, model.correlation, rng)
 
 
-def _noise(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -> Image:
+def _smooth_noise(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -> Image:
     """Gaussian noise of unit variance, smoothed with a Gaussian of `sd` [pixel]."""
-    white = rng.normal(size=shape)
+    white = rng.standard_normal(shape, np.float32)
     if sd == 0:
         return white
-    impulse = np.zeros((8 * int(np.ceil(sd)) + 1,) * 2)
-    impulse[tuple(np.array(impulse.shape) // 2)] = 1.0
-    gain = np.linalg.norm(gaussian_filter(impulse, sd))
-    return np.asarray(gaussian_filter(white, sd, mode="wrap") / gain)
+    impulse = np.zeros(8 * int(np.ceil(sd)) + 1)
+    impulse[len(impulse) // 2] = 1.0
+    gain = np.sum(gaussian_filter(impulse, sd) ** 2)  # along each of the two axes
+    return np.asarray(gaussian_filter(white, sd, mode="wrap") / np.float32(gain))
+
+
+def _fattened(depth: Image, pixels: int) -> Image:
+    """Near surfaces grown over what is behind them."""
+    if pixels == 0:
+        return depth
+    near = minimum_filter(np.where(depth > 0, depth, np.inf), 2 * pixels + 1)
+    return np.where(np.isfinite(near), near, 0).astype(np.float32)
 
 
 def _displaced(depth: Image, angle: Image, model: SensorModel, rng: np.random.Generator) -> Image:
     """Every pixel reads the depth of a pixel nearby."""
     if model.lateral == 0:
         return depth.copy()
-    sd = model.lateral + 0.035 * angle / np.maximum(np.pi / 2 - angle, 0.05)
-    v, u = np.indices(depth.shape)
-    source_u = np.rint(u + sd * _noise(depth.shape, model.correlation, rng)).astype(int)
-    source_v = np.rint(v + sd * _noise(depth.shape, model.correlation, rng)).astype(int)
+    sd = model.lateral + np.float32(0.035) * angle / np.maximum(np.pi / 2 - angle, 0.05)
     height, width = depth.shape
+    v, u = np.ogrid[:height, :width]
+    source_u = np.rint(u + sd * _noise(depth.shape, model, rng)).astype(np.int32)
+    source_v = np.rint(v + sd * _noise(depth.shape, model, rng)).astype(np.int32)
     return depth[np.clip(source_v, 0, height - 1), np.clip(source_u, 0, width - 1)]
 
 
 def _axial_sd(depth: Image, angle: Image, model: SensorModel) -> Image:
-    if model.axial == 0:
-        return np.zeros_like(depth)
     slant = np.maximum(np.pi / 2 - angle, 0.05)
     steep = 0.0001 / np.sqrt(np.maximum(depth, 0.05)) * (angle / slant) ** 2
     sd = model.axial + model.axial_growth * (depth - 0.4) ** 2
     return np.asarray(sd + np.where(angle > np.pi / 3, steep, 0.0))
 
 
-def _flying_pixels(
-    depth: Image, model: SensorModel, rng: np.random.Generator
-) -> tuple[NDArray[np.bool_], Image]:
-    """Which pixels fly, and the depth [m] they read: between the surfaces at a depth edge."""
-    near = minimum_filter(np.where(depth > 0, depth, np.inf), 3)
-    far = maximum_filter(depth, 3)
-    edge = (depth > 0) & (far - near > model.flying_step)
-    flying = edge & (rng.random(depth.shape) < model.flying_share)
-    with np.errstate(invalid="ignore"):
-        between = near + rng.random(depth.shape) * (far - near)
-    return flying, between
+def _through_disparity(
+    depth: Image, camera: Camera, model: SensorModel, rng: np.random.Generator
+) -> Image:
+    """Depth from a disparity with errors, in steps."""
+    unit = camera.fx * model.baseline
+    with np.errstate(divide="ignore"):
+        disparity = unit / depth + np.float32(model.disparity) * _noise(depth.shape, model, rng)
+        if model.disparity_step > 0:
+            disparity = np.rint(disparity / model.disparity_step) * model.disparity_step
+        return np.asarray(np.where(disparity > 0, unit / disparity, 0), dtype=np.float32)
+
+
+def _with_flying_pixels(reading: Image, model: SensorModel, rng: np.random.Generator) -> Image:
+    """The reading, where some pixels at depth edges read something in between."""
+    if model.flying_share == 0:
+        return reading
+    near = minimum_filter(np.where(reading > 0, reading, np.inf), 3)
+    far = maximum_filter(reading, 3)
+    flying = (reading > 0) & (far - near > model.flying_step)
+    flying &= rng.random(reading.shape, np.float32) < model.flying_share
+    reading[flying] = near[flying] + rng.random(flying.sum()) * (far - near)[flying]
+    return reading
 
 
 def _in_projector_shadow(depth: Image, camera: Camera, baseline: float) -> NDArray[np.bool_]:
@@ -207,6 +270,8 @@ def _in_projector_shadow(depth: Image, camera: Camera, baseline: float) -> NDArr
     by the same or an earlier projector column. (Background that shows on the wrong side of a
     narrow object breaks the order and counts as dark, as it does for real matchers.)
     """
+    if baseline == 0:
+        return np.zeros(depth.shape, dtype=bool)
     u = np.arange(depth.shape[1])
     with np.errstate(divide="ignore", invalid="ignore"):
         column = np.where(depth > 0, u - camera.fx * baseline / depth, np.inf)
@@ -220,4 +285,4 @@ def _holes(
     """Blobs that cover the given share of the image."""
     if model.hole_share == 0:
         return np.zeros(shape, dtype=bool)
-    return _noise(shape, model.hole_size, rng) > -float(ndtri(model.hole_share))
+    return _smooth_noise(shape, model.hole_size, rng) > -float(ndtri(model.hole_share))
