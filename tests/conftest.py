@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from inhand.synth.demo import regression_scenes
+from inhand.synth.scene import Scene
+
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
@@ -14,3 +17,9 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the development data are not here; set INHAND_SHARED to their folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def scenes() -> list[Scene]:
+    """Eight fixed scenes of the project's own hand and objects."""
+    return regression_scenes()

@@ -1,4 +1,4 @@
-"""Errors and statistics against closed forms and independent implementations."""
+"""Errors of poses against closed forms and independent implementations."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,17 +8,18 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
-from scipy.stats import binomtest, mannwhitneyu
 
-from inhand.errors import InputError
-from inhand.evaluation import metrics
+from inhand.camera import Camera
+from inhand.evaluation import metrics, visible_surface
 from inhand.evaluation.metrics import ObjectMetric
 from inhand.geometry import mesh as meshes
 from inhand.geometry.distance_field import DistanceField, build_distance_field
 from inhand.geometry.se3 import exp, random_rotation
+from inhand.kernels.depth import DepthRenderer
 from inhand.object_symmetry import Symmetry
 
 RNG = np.random.default_rng(7)
+CAMERA = Camera(150.0, 140.0, 31.5, 23.5, 64, 48)
 
 
 def pose(rotation: Any = None, translation: Any = (0.0, 0.0, 0.0)) -> np.ndarray:
@@ -178,29 +179,153 @@ def test_wrist_and_angle_errors() -> None:
     assert errors == pytest.approx({"a": 0.3, "b": 2 * np.pi - 6.2, "c": 0.1})
 
 
-@pytest.mark.parametrize(("hits", "trials"), [(0, 10), (3, 10), (10, 10), (1, 1), (117, 132)])
-def test_wilson_interval_against_scipy(hits: int, trials: int) -> None:
-    expected = binomtest(hits, trials).proportion_ci(0.95, method="wilson")
-    assert metrics.wilson_interval(hits, trials) == pytest.approx(tuple(expected), abs=1e-4)
+def test_adi_of_the_toolkit_goes_the_other_way(box_metric: ObjectMetric) -> None:
+    truth = seen_pose()
+    estimate = truth @ pose(Rotation.from_rotvec([0.3, 0.1, 0.2]), (0.004, 0.002, 0.001))
+    scores = box_metric.scores(estimate, truth, np.zeros((48, 64)), CAMERA)
+    a, b = (box_metric.points @ T[:3, :3].T + T[:3, 3] for T in (estimate, truth))
+    distance = cdist(a, b)
+    assert scores.adi == pytest.approx(distance.min(axis=1).mean(), rel=1e-9)
+    assert scores.adi_from_truth == pytest.approx(distance.min(axis=0).mean(), rel=1e-9)
+    assert scores.adi != scores.adi_from_truth
 
 
-def test_wilson_interval_of_nothing() -> None:
-    assert metrics.wilson_interval(0, 0) == (0.0, 1.0)
-    with pytest.raises(InputError, match="3 successes of 2"):
-        metrics.wilson_interval(3, 2)
+def seen_pose() -> np.ndarray:
+    """A pose half a metre in front of the camera."""
+    return pose(random_rotation(RNG), (0.01, -0.02, 0.5))
 
 
-def test_auroc_closed_forms() -> None:
-    assert metrics.auroc([0.1, 0.9], [False, True]) == 1.0
-    assert metrics.auroc([0.9, 0.1], [False, True]) == 0.0
-    assert metrics.auroc([0.5, 0.5], [False, True]) == 0.5
-    assert metrics.auroc([0.5, 0.7], [True, True]) is None
-    assert metrics.auroc([], []) is None
+def toolkit_mssd(points: Any, T: Any, truth: Any, symmetric: Any) -> float:
+    """As the BOP toolkit computes it: every vertex at every symmetric pose."""
+    moved = points @ T[:3, :3].T + T[:3, 3]
+    places = [points @ (truth @ S)[:3, :3].T + (truth @ S)[:3, 3] for S in symmetric]
+    return float(min(np.linalg.norm(moved - place, axis=1).max() for place in places))
 
 
-def test_auroc_against_the_rank_test() -> None:
-    scores = RNG.integers(0, 12, size=200) / 12
-    correct = RNG.random(200) < 0.2 + 0.6 * scores
-    u = mannwhitneyu(scores[correct], scores[~correct]).statistic
-    expected = u / (correct.sum() * (~correct).sum())
-    assert metrics.auroc(scores, correct) == pytest.approx(expected)
+def toolkit_mspd(points: Any, T: Any, truth: Any, symmetric: Any, camera: Camera) -> float:
+    def pixels(T: Any) -> Any:
+        image = (points @ T[:3, :3].T + T[:3, 3]) @ camera.matrix.T
+        return image[:, :2] / image[:, 2:]
+
+    places = [pixels(truth @ S) for S in symmetric]
+    return float(min(np.linalg.norm(pixels(T) - place, axis=1).max() for place in places))
+
+
+def test_mssd_and_mspd_closed_forms(box_metric: ObjectMetric) -> None:
+    truth = pose(translation=(0, 0, 0.5))
+    shifted = pose(translation=(0.003, 0.004, 0.5))
+    assert box_metric.mssd(shifted, truth) == pytest.approx(0.005, rel=1e-9)
+    # The near face is 0.03 m closer: a shift along u of s moves its pixels by f s / z.
+    sideways = pose(translation=(0.003, 0, 0.5))
+    expected = CAMERA.fx * 0.003 / (0.5 - 0.03)
+    assert box_metric.mspd(sideways, truth, CAMERA) == pytest.approx(expected, rel=1e-9)
+    # A turn about z by a moves the farthest corner by its chord.
+    turned = truth @ pose(Rotation.from_euler("z", 0.2))
+    radius = np.hypot(0.015, 0.02)
+    assert box_metric.mssd(turned, truth) == pytest.approx(2 * radius * np.sin(0.1), rel=1e-9)
+    assert box_metric.mspd(pose(translation=(0, 0, -0.5)), truth, CAMERA) == np.inf
+
+
+@pytest.mark.parametrize("kind", ["box", "flipped box", "can"])
+@pytest.mark.parametrize("spread", [0.02, 0.3, 2.0])
+def test_mssd_and_mspd_against_the_toolkits_way(kind: str, spread: float) -> None:
+    mesh = meshes.transformed(
+        meshes.cylinder(0.02, 0.05) if kind == "can" else meshes.box((0.03, 0.04, 0.06)),
+        pose(translation=(0.03, 0.0, -0.02)),
+    )
+    centre = pose(translation=mesh.bounds.mean(axis=0))
+    flip = centre @ pose(Rotation.from_euler("x", np.pi)) @ np.linalg.inv(centre)
+    rotations = [np.eye(4)] if kind == "box" else [np.eye(4), flip]
+    scored = metric(mesh, rotations, np.array([0.0, 0, 1]) if kind == "can" else None)
+    symmetric = [centre @ r @ np.linalg.inv(centre) for r in spins(315 if kind == "can" else 1)]
+    symmetric = [turn @ r for turn in symmetric for r in rotations]
+    for _ in range(3):
+        truth = seen_pose()
+        T = truth @ exp(RNG.normal(size=6) * [spread, spread, spread, 0.01, 0.01, 0.01])
+        T[2, 3] = max(T[2, 3], 0.4)
+        expected = toolkit_mssd(mesh.vertices, T, truth, symmetric)
+        assert scored.mssd(T, truth) == pytest.approx(expected, rel=1e-9)
+        expected = toolkit_mspd(mesh.vertices, T, truth, symmetric, CAMERA)
+        assert scored.mspd(T, truth, CAMERA) == pytest.approx(expected, rel=1e-9)
+
+
+def spins(steps: int) -> list[np.ndarray]:
+    return [pose(Rotation.from_euler("z", 2 * np.pi * i / steps)) for i in range(steps)]
+
+
+def test_bop_shares_count_the_thresholds_above_the_error(box_metric: ObjectMetric) -> None:
+    truth = pose(translation=(0, 0, 0.5))
+    diameter = np.linalg.norm((0.03, 0.04, 0.06))
+    depth = np.zeros((48, 64))
+    # 0.12 diameters sideways: above BOP's thresholds 0.05 and 0.10 of 0.05 to 0.50.
+    estimate = pose(translation=(0.12 * diameter, 0, 0.5))
+    scores = box_metric.scores(estimate, truth, depth, CAMERA)
+    assert scores.mssd == pytest.approx(0.12 * diameter)
+    assert scores.mssd_share == pytest.approx(0.8)
+    # 3 pixels of an image 64 wide are 30 of one 640 wide: not below 5, 10 ... 30, but 35 to 50.
+    assert scores.mspd == pytest.approx(CAMERA.fx * 0.12 * diameter / 0.47)
+    passed = (scores.mspd * 640 / 64 < np.arange(5, 51, 5)).sum()
+    assert scores.mspd_share == pytest.approx(passed / 10)
+    perfect = box_metric.scores(truth, truth, depth, CAMERA)
+    assert (perfect.mssd_share, perfect.mspd_share, perfect.vsd_share) == (1, 1, 1)
+
+
+def test_no_rotation_moves_a_sphere_in_mssd() -> None:
+    tilts = [pose(Rotation.from_euler("x", a)) for a in (0.0, 0.5, 1.0)]
+    ball = metric(meshes.sphere(0.02), tilts, np.array([0.0, 0, 1]))
+    truth = seen_pose()
+    T = pose(random_rotation(RNG), truth[:3, 3] + (0.003, 0.0, 0.004))
+    assert ball.mssd(T, truth) == pytest.approx(0.005, rel=1e-6)
+
+
+def render(scored: ObjectMetric, T: np.ndarray) -> np.ndarray:
+    return DepthRenderer([scored.model.mesh]).render(CAMERA, T[None])[0]
+
+
+def test_vsd_closed_forms(box_metric: ObjectMetric) -> None:
+    truth = pose(translation=(0, 0, 0.5))
+    depth = render(box_metric, truth)
+    diameter = box_metric.model.mesh.diameter
+    assert box_metric.vsd(truth, truth, depth, CAMERA) == pytest.approx(np.zeros(10))
+    # Behind something: nothing of either pose can be seen.
+    hidden = np.full_like(depth, 0.3)
+    assert box_metric.vsd(truth, truth, hidden, CAMERA) == pytest.approx(np.ones(10))
+    # Beside each other in the image: no pixel in common.
+    aside = pose(translation=(0.1, 0, 0.5))
+    assert box_metric.vsd(aside, truth, depth, CAMERA) == pytest.approx(np.ones(10))
+    # Nearer by 0.12 diameters, both visible: the pixels in common agree from the third tolerance.
+    nearer = pose(translation=(0, 0, 0.5 - 0.12 * diameter))
+    found = box_metric.vsd(nearer, truth, depth, CAMERA)
+    shown = render(box_metric, nearer) > 0
+    assert found[:2] == pytest.approx(np.ones(2))
+    assert found[2:] == pytest.approx(1 - (depth > 0).sum() / shown.sum(), abs=0.05)
+
+
+def test_vsd_against_a_loop_over_the_pixels(box_metric: ObjectMetric) -> None:
+    for _ in range(3):
+        truth = seen_pose()
+        T = truth @ exp(RNG.normal(size=6) * [0.3, 0.3, 0.3, 0.01, 0.01, 0.01])
+        at_truth, at_estimate = render(box_metric, truth), render(box_metric, T)
+        observed = np.where(RNG.random(at_truth.shape) < 0.2, 0, at_truth + 0.01)
+        observed[:, 30:] = RNG.choice([0.4, 0.52, 0.6], size=observed[:, 30:].shape)
+        expected = looped_vsd(observed, at_truth, at_estimate, box_metric.model.mesh.diameter)
+        assert box_metric.vsd(T, truth, observed, CAMERA) == pytest.approx(expected)
+
+
+def looped_vsd(observed: Any, truth: Any, estimate: Any, diameter: float) -> list[float]:
+    def distance(depth: Any, v: int, u: int) -> float:
+        ray = np.linalg.inv(CAMERA.matrix) @ (u, v, 1)
+        return float(np.linalg.norm(depth[v, u] * ray))
+
+    costs = []
+    for tolerance in visible_surface.TOLERANCES:
+        wrong = either = 0
+        for v, u in np.ndindex(observed.shape):
+            o, t, e = (distance(image, v, u) for image in (observed, truth, estimate))
+            truth_visible = t > 0 and (o == 0 or t - o <= 0.015)
+            estimate_visible = e > 0 and (o == 0 or e - o <= 0.015 or truth_visible)
+            either += truth_visible or estimate_visible
+            matched = truth_visible and estimate_visible and abs(t - e) < tolerance * diameter
+            wrong += (truth_visible or estimate_visible) and not matched
+        costs.append(wrong / either)
+    return costs

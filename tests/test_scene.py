@@ -14,6 +14,7 @@ from inhand.geometry.mesh import TriangleMesh, box, concatenate, transformed
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.synth import demo
+from inhand.synth.grasp import Grasp, GraspSampler, open_configuration
 from inhand.synth.scene import (
     BACKGROUND,
     CLEAN,
@@ -22,19 +23,14 @@ from inhand.synth.scene import (
     NOTHING,
     OBJECT,
     Scene,
+    SceneMaker,
     SceneProtocol,
     make_scene,
-    open_configuration,
-    sample_grasp,
+    viewpoints,
 )
 
 SMALL = Camera(fx=150, fy=150, cx=79.5, cy=59.5, width=160, height=120)
 PENETRATION = 0.0007  # voxel fields round sharp edges
-
-
-@pytest.fixture(scope="module")
-def scenes() -> list[Scene]:
-    return demo.regression_scenes()
 
 
 @pytest.fixture(scope="module")
@@ -102,9 +98,10 @@ def test_sampled_grasps_touch_and_do_not_penetrate(name: str) -> None:
 
 def test_fingers_do_not_run_into_each_other() -> None:
     hand, obj = demo.builtin_hand(), demo.builtin_object("cylinder")
+    sampler = GraspSampler(hand, obj)
     one, two = (finger.links for finger in hand.fingers)
     for seed in range(3):
-        grasp = sample_grasp(hand, obj, np.random.default_rng(seed))
+        grasp = sampler.sample(np.random.default_rng(seed))
         poses = hand.forward_kinematics(grasp.q)
         for a in one:
             for b in two:
@@ -153,13 +150,9 @@ def test_visible_share_counts_what_the_hand_hides(scenes: list[Scene]) -> None:
         links=tuple(replace(k, mesh=box([1e-6, 1e-6, 1e-6])) for k in scene.hand.links),
     )
     fixed = demo.REGRESSION[0]
-    bare = demo.render_scene(
-        everything_moved_away,
-        scene.obj,
-        scene.camera,
+    bare = SceneMaker(everything_moved_away, scene.obj, scene.camera).render(
+        Grasp(se3.exp(np.array(fixed.hand_object)), np.array(fixed.q)),
         scene.T_camera_hand,
-        demo.Grasp(se3.exp(np.array(fixed.hand_object)), np.array(fixed.q)),
-        CLEAN,
         np.random.default_rng(0),
     )
     assert bare.visible_share > 0.999
@@ -224,7 +217,7 @@ def test_a_three_finger_hand_holds_an_object(shared_data: Path) -> None:
 def test_an_object_too_large_for_the_hand_is_reported(two_link_gripper: Hand) -> None:
     ball = ObjectModel.from_mesh(trimesh.creation.icosphere(subdivisions=2, radius=0.2))
     with pytest.raises(InputError, match="does it fit between the fingers"):
-        sample_grasp(two_link_gripper, ball, np.random.default_rng(0))
+        GraspSampler(two_link_gripper, ball).sample(np.random.default_rng(0))
 
 
 def test_an_impossible_view_is_reported() -> None:

@@ -167,11 +167,12 @@ class HandStateConfig(Section):
 class SegmentationConfig(Section):
     """Removal of the hand from the scene cloud."""
 
-    method: Literal["soft", "threshold"] = "soft"
-    """`threshold`: the paper's; `soft`: points near the hand keep a weight."""
+    method: Literal["soft", "threshold", "none"] = "soft"
+    """`threshold`: the paper's; `soft`: points near the hand keep a weight; `none`: the hand stays,
+    for comparison."""
     hand_distance: NonNegative = 0.003
     """Points with a smaller signed distance to the hand are the hand's [m]. Paper: 3 mm."""
-    uncertain_weight: Share = 0.25
+    uncertain_weight: Share = 0.1
     """`soft`: weight of a point that only a link without support in the image explains."""
     certain_distance: float = 0.006
     """`soft`: from this distance on a point is certainly not the hand's [m]."""
@@ -195,13 +196,13 @@ class EvidenceConfig(Section):
     """Penalty of a model point that the camera looked through, in units of one that agrees."""
     missing: NonNegative = 0.4
     """Penalty of a model point in the middle of an area without readings."""
-    hidden: NonNegative = 0.5
+    hidden: NonNegative = 1.0
     """Penalty of a model point behind a reading that the hand does not explain."""
     near: float = 0.004
     """A segment point this near to the model's surface is explained [m]."""
     share_weight: Share = 0.7
     """Weight of the explained share of the segment against the visible share of the model."""
-    contact_points: int = 128
+    contact_points: int = 256
     """Model points that are held against the hand."""
     free_penetration: NonNegative = 0.003
     """Penetration of the hand that model errors explain [m]."""
@@ -213,6 +214,8 @@ class EvidenceConfig(Section):
     """The same while the place of some link is unknown [m]."""
     gap_scale: float = 0.030
     """A gap beyond that costs one agreeing surface per this length [m]."""
+    seen_finger_apart: NonNegative = 0.3
+    """Penalty when no finger link that the image supports touches the object."""
     max_contact_penalty: NonNegative = 1.0
     """Penalty of penetration or gap at most."""
 
@@ -241,6 +244,11 @@ class HypothesesConfig(Section):
     """`pairs`: segment points in the first scoring."""
     heuristic_decay: float = 300.0
     """lambda of pi(p) ~ 1 - exp(-lambda SDF) [1/m]."""
+    heuristic: bool = True
+    """`congruent_sets`: sample points by pi(p); if not, all alike, for comparison."""
+    ppf_constraint: bool = True
+    """`congruent_sets`: bases and their congruent sets must agree in their point pair features; if
+    not, in lengths and the angle between the pairs alone, for comparison."""
     sampling_discount: Share = 0.5
     """gamma: factor on a point's probability each time it is sampled. Paper: 0.5."""
     bases: int = 100
@@ -359,7 +367,7 @@ class SelectionConfig(Section):
     """LCP: a segment point nearer than this to the model counts [m]."""
     lcp_normal_angle: Angle = 0.5236
     """LCP: and whose normal differs by less than this [rad]."""
-    tolerance: float = 0.004
+    tolerance: float = 0.003
     """`likelihood`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 800
     """`likelihood`: model points used."""

@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _RUN[type(command)](command) or 0
     except InputError as error:
-        print(f"inhand: {error}", file=sys.stderr)  # noqa: T201
+        print("inhand:", str(error).replace("\n", " "), file=sys.stderr)  # noqa: T201
         return BAD_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -4,7 +4,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +50,7 @@ class Benchmark:
         self._hand = hand
         self._load_object = load_object
         self._make_estimator = make_estimator
+        self._device = device
         self._renderer = DepthRenderer([link.mesh for link in hand.links], device)
         self._objects: dict[str, tuple[ObjectMetric, PoseEstimator]] = {}
 
@@ -111,7 +112,7 @@ class Benchmark:
             peak_memory=peak_memory(),
         )
         if estimate.T_camera_object is not None:
-            result = _with_answer(result, estimate, metric, frame.truth.T_camera_object)
+            result = _with_answer(result, estimate, metric, frame)
         lost_at = stage_to_blame(
             result.adi,
             result.best_adi,
@@ -128,7 +129,7 @@ class Benchmark:
             model = self._load_object(frame.object_name)
             estimator = self._make_estimator(model)
             estimator.run(frame.depth, frame.camera, frame.T_camera_hand_given)
-            self._objects[frame.object_name] = ObjectMetric(model), estimator
+            self._objects[frame.object_name] = ObjectMetric(model, self._device), estimator
         return self._objects[frame.object_name]
 
     def _joint_errors(self, angles: Mapping[str, float], frame: Frame) -> dict[str, float]:
@@ -154,23 +155,20 @@ class Benchmark:
 
 
 def _with_answer(
-    result: FrameResult, estimate: PoseEstimate, metric: ObjectMetric, truth: NDArray[np.float64]
+    result: FrameResult, estimate: PoseEstimate, metric: ObjectMetric, frame: Frame
 ) -> FrameResult:
     """The result with what the estimator answered and how far that is from the truth."""
     T = estimate.T_camera_object
     assert T is not None
-    pose = metric.pose_error(T, truth)
+    truth = frame.truth.T_camera_object
     best = estimate.candidates[:TOP_CANDIDATES]
     return replace(
         result,
         outcome="answer",
         T_camera_object=_listed(T),
         confidence=float(estimate.confidence),
-        adi=metric.adi(T, truth),
-        add=metric.add(T, truth),
-        translation_error=pose.translation,
-        rotation_error=pose.rotation,
         candidates_adi=[metric.adi(c.T_camera_object, truth) for c in best],
+        **asdict(metric.scores(T, truth, frame.depth, frame.camera)),
     )
 
 

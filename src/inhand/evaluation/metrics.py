@@ -1,6 +1,6 @@
 """How far an estimate is from the truth.
 
-MSSD, MSPD and their thresholds: Hodan et al., "BOP Challenge 2020 on 6D object localization" (2020),
+MSSD, MSPD and their thresholds: Hodan et al., "BOP Challenge 2020 on 6D object localization",
 section 2.2.
 """
 
@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from inhand.camera import Camera
+from inhand.evaluation import visible_surface
 from inhand.geometry.mesh import TriangleMesh, points_on_faces
 from inhand.geometry.se3 import inverse, rotation_angle, skew, transform
+from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
 from inhand.object_symmetry import Symmetry, rotations_about
 
@@ -72,6 +74,8 @@ class PoseScores:
     """Share of BOP's MSSD thresholds that the pose stays below."""
     mspd_share: float
     """Share of BOP's MSPD thresholds that the pose stays below."""
+    vsd_share: float
+    """Share of BOP's VSD tolerances and thresholds that the pose stays below."""
 
 
 def sample_model(mesh: TriangleMesh, count: int = MODEL_POINTS, seed: int = 0) -> Array:
@@ -107,15 +111,21 @@ class ObjectMetric:
 
     Args:
         model: the object.
+        device: Warp device of the rendering for VSD.
     """
 
-    def __init__(self, model: ObjectModel) -> None:
+    def __init__(self, model: ObjectModel, device: str = "cpu") -> None:
         self.model = model
+        self._device = device
 
     @cached_property
     def points(self) -> Array:
         """Model points [m], object frame, shape (MODEL_POINTS, 3)."""
         return sample_model(self.model.mesh)
+
+    @cached_property
+    def _renderer(self) -> DepthRenderer:
+        return DepthRenderer([self.model.mesh], self._device)
 
     @cached_property
     def _tree(self) -> KDTree:
@@ -125,12 +135,22 @@ class ObjectMetric:
         """ADI [m] of an estimated pose, shape (4, 4)."""
         return adi(self._tree, np.asarray(T_estimate, np.float64), T_truth)
 
-    def scores(self, T_estimate: Array, T_truth: Array, camera: Camera) -> PoseScores:
-        """Every error of an estimated pose, shape (4, 4), seen by `camera`."""
+    def scores(
+        self, T_estimate: Array, T_truth: Array, depth: NDArray[np.floating], camera: Camera
+    ) -> PoseScores:
+        """Every error of an estimated pose.
+
+        Args:
+            T_estimate: estimated pose, shape (4, 4).
+            T_truth: true pose, shape (4, 4).
+            depth: the depth image [m], shape (H, W), 0 where there is no reading.
+            camera: its camera.
+        """
         T_estimate = np.asarray(T_estimate, dtype=np.float64)
         pose = self.pose_error(T_estimate, T_truth)
         mssd = self.mssd(T_estimate, T_truth)
         mspd = self.mspd(T_estimate, T_truth, camera)
+        vsd = self.vsd(T_estimate, T_truth, depth, camera)
         return PoseScores(
             adi=self.adi(T_estimate, T_truth),
             adi_from_truth=self.adi(T_truth, T_estimate),
@@ -141,6 +161,7 @@ class ObjectMetric:
             rotation_error=pose.rotation,
             mssd_share=float((mssd < MSSD_THRESHOLDS * self.model.mesh.diameter).mean()),
             mspd_share=float((mspd < MSPD_THRESHOLDS * camera.width / MSPD_WIDTH).mean()),
+            vsd_share=float((vsd[:, None] < visible_surface.THRESHOLDS).mean()),
         )
 
     def best_adi(self, T_estimates: NDArray[np.floating], T_truth: Array) -> float | None:
@@ -202,6 +223,13 @@ class ObjectMetric:
         if transform(T_estimate, vertices)[:, 2].min() <= 0:
             return float("inf")
         return _smallest_maximum(distances, alike, vertices)
+
+    def vsd(
+        self, T_estimate: Array, T_truth: Array, depth: NDArray[np.floating], camera: Camera
+    ) -> Array:
+        """VSD for each of BOP's tolerances, shape (10,); see `scores` for the arguments."""
+        truth, estimate = (self._renderer.render(camera, T[None])[0] for T in (T_truth, T_estimate))
+        return visible_surface.vsd(depth, truth, estimate, camera, self.model.mesh.diameter)
 
     def _symmetric_poses(self, T_estimate: Array, T_truth: Array) -> Array:
         """The poses that look like the truth, shape (k, 4, 4); of a sphere, the nearest one."""

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from inhand.evaluation.diagnosis import POSE_STAGES, SOLVED, STAGES, is_good
-from inhand.evaluation.statistics import auroc, wilson_interval
 from inhand.evaluation.results import JOINT_PIXELS, FrameResult
+from inhand.evaluation.statistics import auroc, wilson_interval
 
 THRESHOLDS = {"2 mm": 0.002, "5 mm": 0.005, "10 mm": 0.010}
 """ADI thresholds of the recall [m]."""

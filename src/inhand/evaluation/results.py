@@ -40,9 +40,21 @@ class FrameResult:
     confidence: float = 0.0
     """The estimator's confidence."""
     adi: float | None = None
-    """ADI of the answer."""
+    """ADI of the answer; this and the next errors are those of `metrics.PoseScores`."""
+    adi_from_truth: float | None = None
+    """ADI the other way round."""
     add: float | None = None
     """ADD of the answer to the nearest symmetric pose."""
+    mssd: float | None = None
+    """Maximum symmetry-aware surface distance."""
+    mspd: float | None = None
+    """Maximum symmetry-aware projection distance [pixel]."""
+    mssd_share: float = 0.0
+    """Share of BOP's MSSD thresholds that the answer stays below."""
+    mspd_share: float = 0.0
+    """Share of BOP's MSPD thresholds that the answer stays below."""
+    vsd_share: float = 0.0
+    """Share of BOP's VSD tolerances and thresholds that the answer stays below."""
     translation_error: float | None = None
     """Displacement of the object's symmetry centre."""
     rotation_error: float | None = None
@@ -79,6 +91,50 @@ class FrameResult:
         }
 
 
+@dataclass(frozen=True)
+class Record:
+    """What a results file holds."""
+
+    path: Path
+    """The file."""
+    settings: dict[str, Any]
+    """What the results depend on, as JSON values."""
+    origins: tuple[dict[str, str], ...]
+    """What made them: command, commit, machine and versions of every session that added some."""
+    results: tuple[FrameResult, ...]
+    """The results, in the order in which they were written."""
+
+
+def read_results(path: Path) -> Record:
+    """Read a results file; a last line that was cut short is left out.
+
+    Raises:
+        InputError: the file is missing, or is not a results file of this version.
+    """
+    try:
+        lines = _complete(path.read_text()).splitlines()
+    except FileNotFoundError as error:
+        raise InputError(f"there is no results file {path}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read the results in {path}: {error}") from error
+    try:
+        settings = json.loads(lines[0])["settings"]
+        entries = [json.loads(line) for line in lines[1:]]
+        origins = tuple(entry["origin"] for entry in entries if "origin" in entry)
+        results = tuple(FrameResult(**entry) for entry in entries if "origin" not in entry)
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        raise InputError(
+            f"{path} is not a results file of this version ({error}): restart, or choose another "
+            "output folder"
+        ) from error
+    return Record(path, settings, origins, results)
+
+
+def _complete(text: str) -> str:
+    """The text without a last line that was cut short."""
+    return text[: text.rfind("\n") + 1]
+
+
 class Ledger:
     """The results file: one JSON object a line, the settings first.
 
@@ -88,6 +144,7 @@ class Ledger:
     Args:
         path: the file; made with its folder when it does not exist.
         settings: what the results depend on, as JSON values.
+        origin: what makes the results of this session; written before the first of them.
         restart: drop what an earlier run left.
 
     Raises:
@@ -95,49 +152,48 @@ class Ledger:
             cannot be written.
     """
 
-    def __init__(self, path: Path, settings: Mapping[str, Any], *, restart: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        settings: Mapping[str, Any],
+        origin: Mapping[str, str] | None = None,
+        *,
+        restart: bool = False,
+    ) -> None:
         self.path = path
         self.results: dict[str, FrameResult] = {}
+        self._origin = origin
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            lines = [] if restart or not path.exists() else self._complete_lines()
-            if not lines:
-                path.write_text(json.dumps({"settings": settings}) + "\n")
+            text = path.read_text() if path.exists() and not restart else ""
+            kept = _complete(text) or json.dumps({"settings": settings}) + "\n"
+            if kept != text:
+                path.write_text(kept)
         except OSError as error:
             raise InputError(f"cannot write the results to {path}: {error.strerror}") from error
-        if lines:
-            self._load(lines, settings)
+        self._load(settings)
 
     def append(self, result: FrameResult) -> None:
         """Write one result."""
         with self.path.open("a") as file:
+            if self._origin is not None:
+                file.write(json.dumps({"origin": self._origin}) + "\n")
+                self._origin = None
             file.write(json.dumps(asdict(result)) + "\n")
         self.results[result.frame] = result
 
-    def _complete_lines(self) -> list[str]:
-        """The file's lines; a last line that was cut short is removed."""
-        text = self.path.read_text()
-        complete = text[: text.rfind("\n") + 1]
-        if complete != text:
-            self.path.write_text(complete)
-        return complete.splitlines()
-
-    def _load(self, lines: list[str], settings: Mapping[str, Any]) -> None:
-        try:
-            earlier = json.loads(lines[0])["settings"]
-            results = [FrameResult(**json.loads(line)) for line in lines[1:]]
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(
-                f"{self.path} is not a results file of this version ({error}): restart, or choose "
-                "another output folder"
-            ) from error
+    def _load(self, settings: Mapping[str, Any]) -> None:
+        record = read_results(self.path)
+        earlier = record.settings
         changed = [k for k in {**earlier, **settings} if earlier.get(k) != settings.get(k)]
         if changed:
             raise InputError(
                 f"{self.path} holds results with another {', '.join(changed)}: restart, or choose "
                 "another output folder"
             )
-        self.results = {result.frame: result for result in results}
+        if record.origins and record.origins[-1] == self._origin:
+            self._origin = None
+        self.results = {result.frame: result for result in record.results}
 
 
 def source_key() -> str:

@@ -28,18 +28,6 @@ def angle_bin(model: PairTable, angle: float):
     return wp.clamp(int(angle / wp.PI * float(model.n_angle)), 0, model.n_angle - 1)
 
 
-@wp.func
-def known_to_model(model: PairTable, feature: wp.vec4):
-    """Whether some pair of the model has this discretised feature: PPF_M[f] is not empty."""
-    d = int(feature[0] / model.distance_step)
-    if d >= model.n_distance:
-        return False
-    n = model.n_angle
-    cell = (d * n + angle_bin(model, feature[1])) * n + angle_bin(model, feature[2])
-    cell = cell * n + angle_bin(model, feature[3])
-    return model.cell_start[cell + 1] > model.cell_start[cell]
-
-
 @wp.struct
 class BaseRule:
     """Parameters of Alg. 2."""
@@ -51,6 +39,22 @@ class BaseRule:
     """Largest distance of the fourth point to the plane of the others [m]."""
     max_cosine: float
     """Largest absolute cosine of the angle at the first point."""
+    any_angles: int
+    """1: the model need not have a pair's angles, only be as large as the pair is long."""
+
+
+@wp.func
+def known_to_model(model: PairTable, rule: BaseRule, feature: wp.vec4):
+    """Whether some pair of the model has this discretised feature: PPF_M[f] is not empty."""
+    d = int(feature[0] / model.distance_step)
+    if d >= model.n_distance:
+        return False
+    if rule.any_angles == 1:
+        return True
+    n = model.n_angle
+    cell = (d * n + angle_bin(model, feature[1])) * n + angle_bin(model, feature[2])
+    cell = cell * n + angle_bin(model, feature[3])
+    return model.cell_start[cell + 1] > model.cell_start[cell]
 
 
 @wp.func
@@ -120,7 +124,7 @@ def sample_bases(
         return
     p1 = points[b1]
     for k in range(points.shape[0]):
-        if not known_to_model(model, pair_feature(points[k], normals[k], p1, normals[b1])):
+        if not known_to_model(model, rule, pair_feature(points[k], normals[k], p1, normals[b1])):
             pi[i, k] = 0.0
     pi[i, b1] = 0.0
 
@@ -134,7 +138,8 @@ def sample_bases(
             continue
         pi[i, j] = rule.discount * pi[i, j]
         pi[i, k] = rule.discount * pi[i, k]
-        if not known_to_model(model, pair_feature(points[j], normals[j], points[k], normals[k])):
+        f23 = pair_feature(points[j], normals[j], points[k], normals[k])
+        if not known_to_model(model, rule, f23):
             continue
         u = wp.normalize(points[j] - p1)
         v = wp.normalize(points[k] - p1)
@@ -159,7 +164,7 @@ def sample_bases(
             continue
         f24 = pair_feature(points[b2], normals[b2], p4, normals[b4])
         f34 = pair_feature(points[b3], normals[b3], p4, normals[b4])
-        if known_to_model(model, f24) and known_to_model(model, f34):
+        if known_to_model(model, rule, f24) and known_to_model(model, rule, f34):
             pair_up(points, wp.vec4i(b1, b2, b3, b4), i, bases, ratios)
             return
 
@@ -302,6 +307,7 @@ def match_pairs(
     grid: wp.uint64,
     tolerance: float,
     angle_tolerance: float,
+    side_tolerance: float,
     rank: wp.array(dtype=int),
     total: wp.array(dtype=int),
     limit: int,
@@ -320,6 +326,7 @@ def match_pairs(
         grid: hash grid of the second pairs' intermediate points.
         tolerance: of the distance between the two intermediate points [m].
         angle_tolerance: of the angle between the two pairs [rad].
+        side_tolerance: of the handedness; 2 and more lets mirror images pass.
         rank: number of the base's sets before this item's.
         total: number of sets of every base.
         set_start: first place of every base in `sets`.
@@ -351,7 +358,7 @@ def match_pairs(
         same = handedness(
             u, v, model.normals[q0], model.normals[q1], model.normals[q2], model.normals[q3]
         )
-        if wp.abs(same - side) > angle_tolerance:
+        if wp.abs(same - side) > side_tolerance:
             continue
         if sets.shape[0] > 0:
             place = even_choice(rank[i] + found, total[base], limit)

@@ -82,6 +82,8 @@ class CongruentSetSearch:
 
     def __init__(self, segment: Segment, obj: PackedObject, config: HypothesesConfig) -> None:
         self.segment, self.config, self.device = segment, config, obj.device
+        # Within pi every angle agrees: the pair table then serves as an index by length alone.
+        self.pair_angle = config.congruence_angle if config.ppf_constraint else np.pi
         self.points = wp.array(segment.points, dtype=wp.vec3, device=obj.device)
         self.normals = wp.array(segment.normals, dtype=wp.vec3, device=obj.device)
         self.diameter = obj.model.diameter
@@ -100,8 +102,11 @@ class CongruentSetSearch:
         rule.discount, rule.max_tries = config.sampling_discount, config.max_tries
         rule.coplanarity = config.coplanarity
         rule.max_cosine = float(np.cos(config.min_angle))
+        rule.any_angles = int(not config.ppf_constraint)
         distance = np.maximum(self.segment.hand_distance, 0.0)
         prior = 1 - np.exp(-config.heuristic_decay * distance)
+        if not config.heuristic:
+            prior = np.ones_like(prior)
         bases, ratios = self._empty(n, wp.vec4i), self._empty(n, wp.vec2)
         inputs = [
             self.points,
@@ -133,7 +138,7 @@ class CongruentSetSearch:
         grid.build(middle[first_pairs:], self.config.congruence)
 
         def match(rank: Any, total: Any, start: Any, sets: Any) -> None:
-            tolerances = [self.config.congruence, self.config.congruence_angle]
+            tolerances = [self.config.congruence, self.config.congruence_angle, self.pair_angle]
             inputs = [self.points, self.normals, base, owner, self.model, pair, middle]
             inputs += [first_pairs, grid.id, *tolerances]
             inputs += [self._ints(rank), self._ints(total), limit, self._ints(start), found, sets]
@@ -175,7 +180,7 @@ class CongruentSetSearch:
         ratio = wp.array(ratios, dtype=wp.vec2, device=self.device)
 
         def find(start: Any, pair: Any, middle: Any) -> None:
-            tolerances = [self.config.congruence, self.config.congruence_angle]
+            tolerances = [self.config.congruence, self.pair_angle]
             inputs = [self.points, self.normals, base, ratio, self.model, *tolerances]
             inputs += [self.diameter, limit, self._ints(start), count, pair, middle]
             launch(find_pairs, len(count), inputs, self.device, work_per_item=5000)

@@ -131,16 +131,23 @@ def contact_penalty(
     """Penalty, shape (count,), of poses that run into the hand or that no finger touches.
 
     Where a link is that the image does not support is unknown: the object may run into it, and may
-    touch it elsewhere.
+    touch it elsewhere. That only such links touch it is possible but less likely.
     """
-    c, state = evidence.config, evidence.hand_state
-    depth = -_clearance(evidence, obj, T_camera_object, count, state.certain, 0.0)
-    free_gap = c.free_gap if state.certain.all() else c.uncertain_gap
+    c, certain, palm = evidence.config, evidence.hand_state.certain, evidence.hand.is_palm
+    seen = certain & ~palm
+    free_gap = c.free_gap if certain.all() else c.uncertain_gap
     farthest = free_gap + c.max_contact_penalty * c.gap_scale
-    gap = _clearance(evidence, obj, T_camera_object, count, ~evidence.hand.is_palm, farthest)
-    penetration = (depth - c.free_penetration) / c.penetration_scale
-    distance = (gap - free_gap) / c.gap_scale
-    return np.clip(np.maximum(penetration, distance), 0, c.max_contact_penalty).astype(np.float32)
+    depth = -_clearance(evidence, obj, T_camera_object, count, certain, 0.0)
+    gap = _clearance(evidence, obj, T_camera_object, count, ~palm, farthest)
+    penalty = np.maximum(
+        (depth - c.free_penetration) / c.penetration_scale, (gap - free_gap) / c.gap_scale
+    )
+    penalty = np.clip(penalty, 0, c.max_contact_penalty)
+    if seen.any():
+        gap = _clearance(evidence, obj, T_camera_object, count, seen, farthest)
+        apart = np.clip((gap - c.free_gap) / c.gap_scale, 0, 1)
+        penalty += c.seen_finger_apart * apart
+    return np.asarray(penalty, dtype=np.float32)
 
 
 def _clearance(

@@ -22,10 +22,10 @@ def segment_object(
 ) -> Segment:
     """Keep the scene points that the hand does not explain.
 
-    The paper drops every point nearer than 3 mm to the hand (SDF(p, x_H) < epsilon). By default
-    points near the hand keep a weight that grows with their distance, so that the contact zone
-    still counts, and a small segment takes every pixel. Points too far from all fingers to be on
-    an object they hold are dropped.
+    The paper drops every point nearer than 3 mm to the hand (SDF(p, x_H) < epsilon); `none` keeps
+    the whole scene cloud. By default points near the hand keep a weight that grows with their
+    distance, so that the contact zone still counts, and a small segment takes every pixel. Points
+    too far from all fingers to be on an object they hold are dropped.
 
     Raises:
         NoAnswer: too few points are left.
@@ -56,6 +56,9 @@ def _segment(
     to_certain = distances_to_hand(cloud.points, hand_state, hand, hand_state.certain, farthest)
     to_finger = distances_to_hand(cloud.points, hand_state, hand, moving, farthest)
     to_hand = np.minimum(to_certain, to_finger)
+    if config.method == "none":
+        weight = np.ones(len(cloud.points), dtype=np.float32)
+        return Segment(cloud.points, cloud.normals, to_hand, weight)
     if config.method == "threshold":
         distance = to_hand
         weight = (distance >= config.hand_distance).astype(np.float32)

@@ -18,7 +18,8 @@ from inhand.camera import Camera
 from inhand.geometry import se3
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
-from inhand.synth.scene import CLEAN, NOISY, Grasp, Scene, SceneProtocol, render_scene, with_errors
+from inhand.synth.grasp import Grasp
+from inhand.synth.scene import CLEAN, NOISY, Scene, SceneMaker, SceneProtocol, with_errors
 
 CAMERA = Camera(fx=615.0, fy=615.0, cx=319.5, cy=239.5, width=640, height=480)
 """The camera of all fixed scenes."""
@@ -134,14 +135,7 @@ def builtin_object(name: str) -> ObjectModel:
 def _build(fixed: FixedScene, seed: int, device: str) -> Scene:
     rng = np.random.default_rng(seed)
     grasp = Grasp(se3.exp(np.array(fixed.hand_object)), np.array(fixed.q))
-    scene = render_scene(
-        builtin_hand(),
-        builtin_object(fixed.object_name),
-        CAMERA,
-        se3.exp(np.array(fixed.camera_hand)),
-        grasp,
-        fixed.protocol,
-        rng,
-        device,
-    )
+    hand, obj = builtin_hand(), builtin_object(fixed.object_name)
+    maker = SceneMaker(hand, obj, CAMERA, fixed.protocol, device=device)
+    scene = maker.render(grasp, se3.exp(np.array(fixed.camera_hand)), rng)
     return with_errors(scene, fixed.protocol, rng)

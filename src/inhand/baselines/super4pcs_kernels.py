@@ -1,0 +1,208 @@
+"""Super4PCS on the device: wide coplanar bases and the rotation-aware grid (Mellado et al., "Super
+4PCS: Fast Global Pointcloud Registration via Smart Indexing", 2014)."""
+
+import warp as wp
+
+from inhand.kernels.congruent_sets import even_choice, pair_up
+from inhand.kernels.pair_matching import angle_between
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class WideBaseRule:
+    """What a base must be like."""
+
+    widest: float
+    """No point is farther from the first one than this [m]."""
+    narrowest: float
+    """The fourth point is at least this far from the others [m]."""
+    coplanarity: float
+    """Largest distance of the fourth point to the plane of the others [m]."""
+    tries: int
+    """Triangles of which the largest is taken."""
+
+
+@wp.kernel
+def sample_wide_bases(
+    points: wp.array(dtype=wp.vec3),
+    rule: WideBaseRule,
+    seed: int,
+    bases: wp.array(dtype=wp.vec4i),
+    ratios: wp.array(dtype=wp.vec2),
+    first: int,
+):
+    """One work item a base: a large random triangle, and the point nearest to its plane.
+
+    Args (beyond the obvious):
+        bases: out, indices of the points, pairs (0, 1) and (2, 3); -1 where none was found.
+        ratios: out, where the pairs' lines cross.
+    """
+    i = first + wp.tid()
+    state = wp.rand_init(seed, i)
+    n = points.shape[0]
+    bases[i] = wp.vec4i(-1, -1, -1, -1)
+    a = wp.randi(state, 0, n)
+    b = int(-1)
+    c = int(-1)
+    largest = float(0.0)
+    for _ in range(rule.tries):
+        j = wp.randi(state, 0, n)
+        k = wp.randi(state, 0, n)
+        u = points[j] - points[a]
+        v = points[k] - points[a]
+        area = wp.length(wp.cross(u, v))
+        if area > largest and wp.length(u) < rule.widest and wp.length(v) < rule.widest:
+            largest = area
+            b = j
+            c = k
+    if b < 0:
+        return
+    plane = wp.normalize(wp.cross(points[b] - points[a], points[c] - points[a]))
+    d = int(-1)
+    flattest = rule.coplanarity
+    for k in range(n):
+        p = points[k]
+        to_a = wp.length(p - points[a])
+        others = wp.min(wp.length(p - points[b]), wp.length(p - points[c]))
+        height = wp.abs(wp.dot(plane, p - points[a]))
+        far = wp.min(to_a, others) > rule.narrowest
+        if height < flattest and to_a < rule.widest and far:
+            flattest = height
+            d = k
+    if d >= 0:
+        pair_up(points, wp.vec4i(a, b, c, d), i, bases, ratios)
+
+
+@wp.struct
+class Pairs:
+    """Pairs of model points as long as the bases' pairs, those of a base one after the other."""
+
+    points: wp.array(dtype=wp.vec3)
+    """The model's points."""
+    first: wp.array(dtype=int)
+    second: wp.array(dtype=int)
+    base: wp.array(dtype=int)
+    """Index of the base."""
+
+
+@wp.struct
+class RotationAwareGrid:
+    """Intermediate points of pairs, sorted by base, by the pair's direction, and by place.
+
+    A hash grid does all three: each base has its own stretch along x, and each bin of directions
+    its own along y.
+    """
+
+    grid: wp.uint64
+    points: wp.array(dtype=wp.vec3)
+    """The shifted intermediate points."""
+    directions: wp.array(dtype=wp.vec3)
+    """Middles of the bins."""
+    reach: float
+    """No direction is farther from the nearest middle than this [rad]."""
+    stretch: float
+    """Length of a base's or bin's stretch [m]."""
+
+
+@wp.func
+def direction(pairs: Pairs, k: int):
+    """Unit vector along a pair."""
+    return wp.normalize(pairs.points[pairs.second[k]] - pairs.points[pairs.first[k]])
+
+
+@wp.func
+def intermediate(pairs: Pairs, k: int, ratio: float):
+    """The point on a pair's line that coincides with the other pair's in a congruent set."""
+    p = pairs.points[pairs.first[k]]
+    return p + ratio * (pairs.points[pairs.second[k]] - p)
+
+
+@wp.func
+def shifted(index: RotationAwareGrid, p: wp.vec3, base: int, bin: int):
+    """`p` on the stretches of a base and a bin of directions."""
+    return p + index.stretch * wp.vec3(float(base), float(bin), 0.0)
+
+
+@wp.kernel
+def fill_grid(
+    pairs: Pairs,
+    ratios: wp.array(dtype=wp.vec2),
+    index: RotationAwareGrid,
+    first: int,
+):
+    """One work item a second pair: its place in the grid's `points`."""
+    i = first + wp.tid()
+    along = direction(pairs, i)
+    nearest = int(0)
+    for k in range(index.directions.shape[0]):
+        if wp.dot(index.directions[k], along) > wp.dot(index.directions[nearest], along):
+            nearest = k
+    middle = intermediate(pairs, i, ratios[pairs.base[i]][1])
+    index.points[i] = shifted(index, middle, pairs.base[i], nearest)
+
+
+@wp.kernel
+def complete_sets(
+    scene: wp.array(dtype=wp.vec3),
+    bases: wp.array(dtype=wp.vec4i),
+    ratios: wp.array(dtype=wp.vec2),
+    one: Pairs,
+    other: Pairs,
+    index: RotationAwareGrid,
+    tolerance: float,
+    angle_tolerance: float,
+    rank: wp.array(dtype=int),
+    total: wp.array(dtype=int),
+    limit: int,
+    set_start: wp.array(dtype=int),
+    count: wp.array(dtype=int),
+    sets: wp.array(dtype=wp.vec4i),
+    first: int,
+):
+    """One work item a first pair: the second pairs that make a congruent set with it.
+
+    Only counts while `sets` is empty. Otherwise an even choice of `limit` sets a base is stored.
+
+    Args (beyond the obvious):
+        one, other: model pairs like the first and like the second pair of the bases.
+        index: grid of the second pairs.
+        tolerance: of the distance between the two intermediate points [m].
+        angle_tolerance: of the angle between the two pairs [rad].
+        rank: number of the base's sets before this item's.
+        total: number of sets of every base.
+        set_start: first place of every base in `sets`.
+        count: out, number of sets of every item.
+        sets: out, indices of the four model points.
+    """
+    i = first + wp.tid()
+    base = one.base[i]
+    b = bases[base]
+    wanted = angle_between(
+        wp.normalize(scene[b[1]] - scene[b[0]]), wp.normalize(scene[b[3]] - scene[b[2]])
+    )
+    along = direction(one, i)
+    middle = intermediate(one, i, ratios[base][0])
+    found = int(0)
+    for k in range(index.directions.shape[0]):
+        # Only directions on a cone around this pair's are looked at.
+        if wp.abs(angle_between(along, index.directions[k]) - wanted) > (
+            angle_tolerance + index.reach
+        ):
+            continue
+        place = shifted(index, middle, base, k)
+        query = wp.hash_grid_query(index.grid, place, tolerance)
+        j = int(0)
+        while wp.hash_grid_query_next(query, j):
+            if wp.length(index.points[j] - place) > tolerance:
+                continue
+            if wp.abs(angle_between(along, direction(other, j)) - wanted) > angle_tolerance:
+                continue
+            if sets.shape[0] > 0:
+                chosen = even_choice(rank[i] + found, total[base], limit)
+                if chosen >= 0:
+                    sets[set_start[base] + chosen] = wp.vec4i(
+                        one.first[i], one.second[i], other.first[j], other.second[j]
+                    )
+            found += 1
+    count[i] = found

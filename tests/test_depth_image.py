@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference_depth import plane_depth, rays, sphere_depth
+from scipy.ndimage import correlate
+
+from inhand.camera import Camera
+from inhand.kernels.depth import pinhole
+from inhand.kernels.depth_image import fit_planes, missing_share
+from inhand.kernels.launch import launch
+
+CAMERA = Camera(fx=420, fy=380, cx=50.3, cy=20.8, width=83, height=57)
+WINDOW, GATE = 0.005, 2.0
+
+
+def fitted(
+    depth: np.ndarray, camera: Camera = CAMERA, window: float = WINDOW, gate: float = GATE
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed depth (H, W) and normals (H, W, 3)."""
+    smooth = wp.empty(depth.size, dtype=float, device="cpu")
+    normals = wp.empty(depth.size, dtype=wp.vec3, device="cpu")
+    flat = wp.array(depth.reshape(-1), dtype=float, device="cpu")
+    inputs = [pinhole(camera), flat, window, gate, smooth, normals]
+    launch(fit_planes, depth.size, inputs, "cpu", work_per_item=25)
+    return smooth.numpy().reshape(depth.shape), normals.numpy().reshape(*depth.shape, 3)
+
+
+def angles(normals: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """Angles [degrees] between unit vectors (..., 3)."""
+    return np.degrees(np.arccos(np.clip((normals * expected).sum(axis=-1), -1, 1)))
+
+
+slopes = st.floats(-0.7, 0.7)
+
+
+@given(slopes, slopes, st.floats(0.2, 1.5))
+@settings(max_examples=30, deadline=None)
+def test_planes_are_found_exactly_up_to_the_border(x: float, y: float, distance: float) -> None:
+    normal = np.array([x, y, 1.0]) / np.linalg.norm([x, y, 1.0])
+    depth = plane_depth(CAMERA, normal, distance)
+    smooth, normals = fitted(depth, window=0.02, gate=5)
+    np.testing.assert_allclose(smooth, depth, rtol=1e-5)
+    assert angles(normals, -normal).max() < 0.5
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+
+
+def test_normals_and_depth_of_a_noisy_plane_with_holes() -> None:
+    rng = np.random.default_rng(0)
+    normal = np.array([0.3, -0.4, np.sqrt(0.75)])
+    true = plane_depth(CAMERA, normal, 0.4)
+    noisy = true + rng.normal(0, 0.0005, true.shape)
+    holes = rng.random(true.shape) < 0.2
+    noisy[holes] = 0
+    smooth, normals = fitted(noisy)
+    assert (smooth[holes] == 0).all()
+    assert (normals[holes] == 0).all()
+    known = ~holes & (normals[..., 2] != 0)
+    assert known.sum() > 0.99 * (~holes).sum()
+    assert np.median(angles(normals, -normal)[known]) < 4
+    assert np.std((smooth - true)[known]) < 0.5 * np.std((noisy - true)[known])
+    assert abs(np.mean((smooth - true)[known])) < 5e-5
+
+
+def test_normals_and_depth_of_a_sphere() -> None:
+    rng = np.random.default_rng(0)
+    centre, radius = np.array([-0.01, 0.01, 0.4]), 0.03
+    true = sphere_depth(CAMERA, centre, radius)
+    outward = (rays(CAMERA) * true[..., None] - centre) / radius
+    facing = -(outward * rays(CAMERA)).sum(axis=-1) / np.linalg.norm(rays(CAMERA), axis=-1)
+    front = (true > 0) & (facing > 0.75)
+    assert front.sum() > 1000
+    smooth, normals = fitted(true)
+    # A plane through a bent patch lies behind the middle of it, by the square of the patch's size.
+    inward = (smooth - true)[front]
+    assert -1e-6 < inward.min() < inward.max() < 0.0015
+    assert (fitted(true, window=WINDOW / 2)[0] - true)[front].mean() < 0.5 * inward.mean()
+    assert angles(normals, outward)[front].max() < 5
+    noisy = np.where(true > 0, true + rng.normal(0, 0.0003, true.shape), 0)
+    _, normals = fitted(noisy)
+    assert np.median(angles(normals, outward)[front]) < 4
+
+
+def test_surfaces_do_not_blend_over_a_depth_edge() -> None:
+    near_normal, far_normal = np.array([0, 0, 1.0]), np.array([0.5, 0, np.sqrt(0.75)])
+    near, far = plane_depth(CAMERA, near_normal, 0.3), plane_depth(CAMERA, far_normal, 0.5)
+    left = np.arange(CAMERA.width) < 40
+    smooth, normals = fitted(np.where(left, near, far))
+    np.testing.assert_allclose(smooth, np.where(left, near, far), rtol=1e-5)
+    assert angles(normals, -np.where(left[:, None], near_normal, far_normal)).max() < 0.5
+
+
+def test_too_few_neighbours_are_no_surface() -> None:
+    depth = np.zeros((CAMERA.height, CAMERA.width))
+    depth[10, 10] = 0.4  # alone
+    depth[30, 20:60] = 0.5  # a line
+    smooth, normals = fitted(depth)
+    assert (normals == 0).all()
+    np.testing.assert_allclose(smooth, depth, rtol=1e-6)
+
+
+def test_an_empty_image_has_no_surface() -> None:
+    smooth, normals = fitted(np.zeros((CAMERA.height, CAMERA.width)))
+    assert (smooth == 0).all()
+    assert (normals == 0).all()
+
+
+# Missing readings
+
+
+def shares(missing: np.ndarray, radius: int) -> np.ndarray:
+    depth = wp.array(np.where(missing, 0.0, 0.5).reshape(-1), dtype=float, device="cpu")
+    share = wp.empty(missing.size, dtype=float, device="cpu")
+    height, width = missing.shape
+    launch(missing_share, missing.size, [depth, width, height, radius, share], "cpu")
+    return np.asarray(share.numpy().reshape(missing.shape))
+
+
+def expected_shares(missing: np.ndarray, radius: int) -> np.ndarray:
+    """Over all pixels of the window that lie in the image."""
+    window = np.ones((2 * radius + 1, 2 * radius + 1))
+    count = correlate(missing.astype(float), window, mode="constant")
+    total = correlate(np.ones(missing.shape), window, mode="constant")
+    return np.where(missing, count / total, 0)
+
+
+@given(
+    st.integers(1, 30), st.integers(1, 30), st.integers(1, 5), st.floats(0, 1), st.integers(0, 1000)
+)
+@settings(max_examples=40, deadline=None)
+def test_small_windows_count_every_pixel(
+    height: int, width: int, radius: int, share: float, seed: int
+) -> None:
+    missing = np.random.default_rng(seed).random((height, width)) < share
+    np.testing.assert_allclose(shares(missing, radius), expected_shares(missing, radius), atol=1e-6)
+
+
+@pytest.mark.parametrize("radius", [6, 9, 15])
+def test_large_windows_count_a_sample(radius: int) -> None:
+    rng = np.random.default_rng(radius)
+    v, u = np.mgrid[:70, :90]
+    blobs = [np.hypot(u - x, v - y) < r for x, y, r in rng.uniform(5, 70, (4, 3)) / [1, 1, 4]]
+    missing = np.any(blobs, axis=0) | (rng.random((70, 90)) < 0.1)
+    found, expected = shares(missing, radius), expected_shares(missing, radius)
+    assert np.abs(found - expected).max() < 0.25
+    assert np.abs(found - expected)[missing].mean() < 0.06
+
+
+def test_small_holes_count_less_than_empty_areas() -> None:
+    missing = np.zeros((60, 60), dtype=bool)
+    missing[10, 10] = True
+    missing[20:, 20:] = True
+    share = shares(missing, 9)
+    assert 0 < share[10, 10] < 0.05
+    assert share[40, 40] == 1
+    assert (share[~missing] == 0).all()

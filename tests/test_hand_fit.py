@@ -1,0 +1,227 @@
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from hand_made import HIDDEN, MISSING, TOLERANCE, VIOLATION, view, visibility
+from held_object import HeldObject, Q, distance_to_hand, held_object
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from inhand.camera import Camera
+from inhand.config import HandStateConfig
+from inhand.geometry.se3 import exp
+from inhand.kernels.hand_fit import Visibility, score_configurations
+from inhand.kernels.launch import launch
+from inhand.packed import device_poses
+from inhand.stages.articulated_fit import depth_view
+from inhand.stages.segmentation import distances_to_hand
+
+SMALL = Camera(fx=100, fy=100, cx=20, cy=15, width=41, height=31)
+WALL = 0.5
+TOWARDS = (0.0, 0.0, -1.0)
+
+
+def scores(
+    seen_by: Any,
+    rule: Any,
+    poses: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    fixed: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Score and open share, (c,) each, of one rigid set of surface samples at poses (c, 4, 4)."""
+    n, c, width, height = len(points), len(poses), seen_by.camera.width, seen_by.camera.height
+    other = np.broadcast_to(fixed, (height, width)).reshape(-1)
+    score, seen = (wp.empty(c, dtype=float, device="cpu") for _ in range(2))
+    launch(
+        score_configurations,
+        c,
+        [seen_by, rule, device_poses(poses, "cpu"), 1]
+        + [wp.array(points, dtype=wp.vec3), wp.array(normals, dtype=wp.vec3)]
+        + [wp.zeros(n, dtype=int), wp.array(np.arange(n), dtype=int)]
+        + [wp.array(other, dtype=float), 1, score, seen],
+        "cpu",
+        work_per_item=n,
+    )
+    return score.numpy(), seen.numpy()
+
+
+def judge(
+    z: float, image: Any, normal: tuple[float, ...] = TOWARDS, fixed: float = 0.0, x: float = 0.0
+) -> tuple[float, float]:
+    """Score and open share of one surface point on the optical axis, or beside it."""
+    pose = np.eye(4)[None]
+    pose[0, :3, 3] = [x, 0, z]
+    score, seen = scores(image, visibility(), pose, np.zeros((1, 3)), np.array([normal]), fixed)
+    return float(score[0]), float(seen[0])
+
+
+def test_a_point_on_its_reading_counts_fully() -> None:
+    assert judge(WALL, view(SMALL, WALL)) == pytest.approx((1, 1), abs=1e-4)
+
+
+@given(st.floats(0, 0.99), st.floats(0, 0.99), st.sampled_from([-1, 1]))
+@settings(deadline=None)
+def test_agreement_falls_with_the_depth_difference(a: float, b: float, side: int) -> None:
+    near, far = sorted((a, b))
+    image = view(SMALL, WALL)
+    one, other = (judge(WALL + side * share * TOLERANCE, image)[0] for share in (near, far))
+    assert 1.001 > one >= other - 1e-5
+    assert other > 0
+
+
+def test_looked_through_and_hidden_points_are_penalised() -> None:
+    image = view(SMALL, WALL)
+    for beyond in (1.01, 2, 20):
+        assert judge(WALL - beyond * TOLERANCE, image) == pytest.approx((-VIOLATION, 1), abs=1e-4)
+        assert judge(WALL + beyond * TOLERANCE, image) == pytest.approx((-HIDDEN, 0), abs=1e-4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_without_a_reading_the_missing_share_decides(share: float) -> None:
+    found = judge(WALL, view(SMALL, 0.0, missing=share))
+    assert found == pytest.approx((-MISSING * share, 1), abs=1e-4)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, 1.0, 1.5, 2.5])
+def test_agreement_falls_with_the_angle_of_the_normals(angle: float) -> None:
+    seen_normal = (np.sin(angle), 0.0, -np.cos(angle))
+    score, _ = judge(WALL, view(SMALL, WALL, normal=seen_normal))
+    assert score == pytest.approx(max(0, np.cos(angle)), abs=1e-3)
+
+
+def test_points_that_face_away_or_lie_outside_the_image_say_nothing() -> None:
+    image = view(SMALL, WALL)
+    assert judge(WALL, image, normal=(0, 0, 1)) == (0, 0)
+    assert judge(WALL, image, normal=(1, 0, 0)) == (0, 0)
+    assert judge(WALL, image, x=0.2) == (0, 0)
+    assert judge(-WALL, image, normal=(0, 0, 1)) == (0, 0)
+
+
+def test_what_another_part_hides_or_explains_is_left_out() -> None:
+    image = view(SMALL, WALL)
+    assert judge(WALL, image, fixed=WALL - 5 * TOLERANCE) == (0, 0)
+    assert judge(WALL, image, fixed=WALL) == (0, 0)
+    assert judge(WALL, image, fixed=WALL + 2 * TOLERANCE)[0] == pytest.approx(1, abs=1e-4)
+
+
+def test_the_score_is_a_mean_over_the_projected_area() -> None:
+    """Of three points of the same area one is hidden and one is looked through."""
+    depth = np.full((31, 41), WALL)
+    depth[:, 30:], depth[:, :10] = 0.4, 0.7
+    points = np.array([[-0.075, 0, 0], [0, 0, 0], [0.075, 0, 0]])
+    normals = -(points + [0, 0, WALL]) / np.linalg.norm(points + [0, 0, WALL], axis=1)[:, None]
+    pose = np.eye(4)[None]
+    pose[0, :3, 3] = [0, 0, WALL]
+    score, seen = scores(view(SMALL, depth), visibility(), pose, points, normals)
+    assert score[0] == pytest.approx((1 - VIOLATION - HIDDEN) / 3, abs=1e-3)
+    assert seen[0] == pytest.approx(2 / 3, abs=1e-3)
+
+
+# A whole finger
+
+
+def brute_force(
+    scene: HeldObject, finger: int, T_camera_link: np.ndarray, fixed: np.ndarray
+) -> tuple[float, float]:
+    """Score and open share of a finger in the scene's image, point by point, by another route."""
+    config, camera = HandStateConfig(), scene.observation.camera
+    missing = scene.observation.missing_on_device.numpy()
+    seen_normals = scene.observation.normals_on_device.numpy()
+    depth = scene.observation.depth.reshape(-1)
+    total = area = open_area = 0.0
+    for i in scene.hand.hand.fingers[finger].links:
+        surface, T = scene.hand.hand.links[i].surface, T_camera_link[i]
+        p = surface.points @ T[:3, :3].T + T[:3, 3]
+        n = surface.normals @ T[:3, :3].T
+        facing = -(n * p).sum(axis=1) / np.linalg.norm(p, axis=1)
+        p, n, facing = p[facing > 0.1], n[facing > 0.1], facing[facing > 0.1]
+        area += facing.sum()
+        u, v = np.rint(camera.project(p)).astype(int).T
+        inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        pixel = (v * camera.width + u)[inside]
+        p, n, facing = p[inside], n[inside], facing[inside]
+        other = fixed.reshape(-1)[pixel]
+        free = (other == 0) | (other >= p[:, 2] + config.fine_tolerance)
+        d, z = depth[pixel], p[:, 2]
+        off = np.abs(d - z) / config.fine_tolerance
+        agreement = (n * seen_normals[pixel]).sum(axis=1).clip(0)
+        judged = np.select(
+            [d == 0, d > z + config.fine_tolerance, d < z - config.fine_tolerance],
+            [-config.missing * missing[pixel], -config.violation, -config.hidden],
+            (1 - 0.6 * off) * agreement,
+        )
+        total += (facing * judged)[free].sum()
+        open_area += facing[free & ((d == 0) | (d > z - config.fine_tolerance))].sum()
+    return total / area, open_area / area
+
+
+def test_scores_of_fingers_are_those_of_brute_force() -> None:
+    scene = held_object("cuboid")
+    hand, config = scene.hand, HandStateConfig()
+    rng = np.random.default_rng(0)
+    q = np.clip(Q + rng.normal(0, 0.3, (12, 4)), hand.hand.lower, hand.hand.upper)
+    q[0] = Q
+    errors = rng.normal(0, 0.003, (12, 6))
+    errors[0] = 0
+    wrists = scene.hand_state.T_camera_hand @ exp(errors)
+    poses = hand.link_poses(q, wrists)
+    rule = Visibility()
+    rule.tolerance, rule.violation = config.fine_tolerance, config.violation
+    rule.missing, rule.hidden = config.missing, config.hidden
+    camera = scene.observation.camera
+    palm_only = np.isin(np.arange(len(hand.hand.links)), hand.hand.palm_links)
+    fixed = hand.render(camera, poses[0], palm_only)
+    for k, finger in enumerate(hand.hand.fingers):
+        samples = np.concatenate([np.arange(*hand.point_start[[i, i + 1]]) for i in finger.links])
+        score, seen = (wp.empty(len(q), dtype=float, device="cpu") for _ in range(2))
+        launch(
+            score_configurations,
+            len(q),
+            [depth_view(scene.observation), rule, device_poses(poses, "cpu"), len(hand.hand.links)]
+            + [hand.points, hand.normals, hand.link, wp.array(samples, dtype=int), fixed, 1]
+            + [score, seen],
+            "cpu",
+            work_per_item=len(samples),
+        )
+        image = fixed.numpy().reshape(camera.height, camera.width)
+        expected = np.array([brute_force(scene, k, T, image) for T in poses])
+        # A point may lie on a threshold.
+        np.testing.assert_allclose(score.numpy(), expected[:, 0], atol=0.02)
+        np.testing.assert_allclose(seen.numpy(), expected[:, 1], atol=0.01)
+        assert score.numpy().argmax() == 0, score.numpy()
+
+
+# Distances
+
+
+@given(st.integers(0, 1000), st.sampled_from([0.01, 0.05, 1.0]))
+@settings(max_examples=15, deadline=None)
+def test_distances_to_the_posed_hand(seed: int, farthest: float) -> None:
+    scene = held_object("cuboid")
+    rng = np.random.default_rng(seed)
+    points = scene.hand_state.T_camera_hand[:3, 3] + rng.uniform(-0.2, 0.2, (300, 3))
+    links = np.ones(len(scene.hand.hand.links), dtype=bool)
+    found = distances_to_hand(
+        points.astype(np.float32), scene.hand_state, scene.hand, links, farthest
+    )
+    expected = np.minimum(distance_to_hand(points, scene.hand, scene.hand_state), farthest)
+    # At the border between two voxels rounding decides.
+    assert np.mean(np.abs(found - expected) < 2e-6) > 0.98
+    np.testing.assert_allclose(found, expected, atol=0.001)
+
+
+def test_links_that_are_left_out_are_not_there() -> None:
+    scene = held_object("cuboid")
+    points = scene.observation.points
+    count = len(scene.hand.hand.links)
+    each = [
+        distances_to_hand(points, scene.hand_state, scene.hand, np.arange(count) == i, 0.5)
+        for i in range(count)
+    ]
+    some = np.isin(np.arange(count), [0, 3])
+    found = distances_to_hand(points, scene.hand_state, scene.hand, some, 0.5)
+    np.testing.assert_array_equal(found, np.minimum(each[0], each[3]))
+    nothing = distances_to_hand(points, scene.hand_state, scene.hand, np.zeros(count, bool), 0.5)
+    np.testing.assert_array_equal(nothing, 0.5)

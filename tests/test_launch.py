@@ -1,0 +1,99 @@
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from probe_kernels import write_index
+
+import inhand.kernels
+from inhand.errors import InputError
+from inhand.kernels import launch as seam
+from inhand.kernels.launch import cpu_count, launch, load_all_kernels, resolve_device
+
+LONG = 10**6
+"""Operations of a work item that are worth slices."""
+
+
+def indices(dim: int, size: int, work_per_item: int) -> np.ndarray:
+    """What a launch over 0..dim-1 leaves in an array of `size` zeros."""
+    out = wp.zeros(size, dtype=int, device="cpu")
+    launch(write_index, dim, [out], "cpu", work_per_item=work_per_item)
+    return out.numpy()
+
+
+@given(st.integers(0, 40) | st.integers(0, 3000), st.sampled_from([1, LONG]))
+@settings(max_examples=50, deadline=None)
+def test_every_item_runs_exactly_once(dim: int, work_per_item: int) -> None:
+    expected = np.where(np.arange(dim + 5) < dim, np.arange(dim + 5) + 1, 0)
+    np.testing.assert_array_equal(indices(dim, dim + 5, work_per_item), expected)
+
+
+@pytest.fixture
+def launches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Sizes of the launches that Warp gets, on a machine of three cores."""
+    sizes: list[int] = []
+    warp_launch = wp.launch
+
+    def record(kernel: Any, dim: int, **arguments: Any) -> None:
+        sizes.append(dim)
+        warp_launch(kernel, dim=dim, **arguments)
+
+    monkeypatch.setattr(wp, "launch", record)
+    monkeypatch.setattr(seam, "cpu_count", lambda: 3)
+    return sizes
+
+
+@pytest.mark.parametrize("dim", [1, 2, 5, 6, 7, 1000])
+def test_long_launches_are_cut_into_even_slices(launches: list[int], dim: int) -> None:
+    np.testing.assert_array_equal(indices(dim, dim, LONG), np.arange(dim) + 1)
+    assert sum(launches) == dim
+    assert len(launches) == min(dim, 6)
+    assert max(launches) - min(launches) <= 1
+
+
+def test_short_launches_are_not_cut(launches: list[int]) -> None:
+    indices(100, 100, 1)
+    assert launches == [100]
+
+
+def test_nothing_to_do_is_no_launch(launches: list[int]) -> None:
+    for dim in (0, -1):
+        np.testing.assert_array_equal(indices(dim, 3, LONG), 0)
+    assert launches == []
+
+
+@pytest.mark.parametrize("work_per_item", [1, LONG])
+def test_errors_reach_the_caller(work_per_item: int) -> None:
+    with pytest.raises(RuntimeError, match="write_index"):
+        launch(write_index, 10, [], "cpu", work_per_item=work_per_item)
+
+
+def test_all_kernel_modules_are_loaded() -> None:
+    assert inhand.kernels.__file__ is not None
+    sources = Path(inhand.kernels.__file__).parent.glob("*.py")
+    expected = sorted(
+        path.stem for path in sources if re.search("^@wp.kernel", path.read_text(), re.MULTILINE)
+    )
+    names: list[str] = []
+    load_all_kernels("cpu", names.append)
+    assert names == expected
+    assert len(names) > 5
+
+
+def test_there_is_a_core() -> None:
+    assert cpu_count() >= 1
+
+
+def test_the_best_device_is_the_default() -> None:
+    assert resolve_device("cpu") == "cpu"
+    assert resolve_device(None) == ("cuda:0" if wp.is_cuda_available() else "cpu")
+
+
+@pytest.mark.parametrize("device", ["cuda:99", "toaster", ""])
+def test_unknown_devices_are_refused(device: str) -> None:
+    with pytest.raises(InputError, match=f'no device "{device}" here; available: .*cpu'):
+        resolve_device(device)
