@@ -14,6 +14,7 @@ from inhand.errors import InputError
 
 # Ranges of the fields below. A plain `float` must be positive, a plain `int` at least 1.
 NonNegative = Annotated[float, 0.0, math.inf]
+NonPositive = Annotated[float, -math.inf, 0.0]
 Share = Annotated[float, 0.0, 1.0]
 Angle = Annotated[float, 0.0, math.pi]
 Seed = Annotated[int, 0]
@@ -114,6 +115,10 @@ class HandStateConfig(Section):
     """Distinct configurations per finger that enter the joint refinement."""
     distinct_angle: NonNegative = 0.15
     """Configurations that differ by less than this in every joint are one [rad]."""
+    coarse_points: int = 64
+    """Surface samples of a link during the search."""
+    fine_points: int = 200
+    """Surface samples of a link around an alternative."""
     coarse_tolerance: float = 0.008
     """Depth agreement during the search [m]."""
     fine_tolerance: float = 0.004
@@ -196,14 +201,12 @@ class EvidenceConfig(Section):
     """Penalty of a model point that the camera looked through, in units of one that agrees."""
     missing: NonNegative = 0.4
     """Penalty of a model point in the middle of an area without readings."""
-    hidden: NonNegative = 1.0
+    hidden: NonNegative = 0.5
     """Penalty of a model point behind a reading that the hand does not explain."""
     near: float = 0.004
     """A segment point this near to the model's surface is explained [m]."""
     share_weight: Share = 0.7
     """Weight of the explained share of the segment against the visible share of the model."""
-    contact_points: int = 256
-    """Model points that are held against the hand."""
     free_penetration: NonNegative = 0.003
     """Penetration of the hand that model errors explain [m]."""
     penetration_scale: float = 0.010
@@ -240,6 +243,10 @@ class HypothesesConfig(Section):
     """`pairs`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 48
     """`pairs`: model points in the first scoring."""
+    early_points: int = 16
+    """`pairs`: after so many model points a hopeless pose is given up."""
+    hopeless: NonPositive = -0.4
+    """`pairs`: a pose whose visible score is lower is hopeless."""
     segment_points: int = 48
     """`pairs`: segment points in the first scoring."""
     heuristic_decay: float = 300.0
@@ -291,6 +298,8 @@ class ClusteringConfig(Section):
     """`distinct`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 200
     """`distinct`: model points in that scoring."""
+    contact_points: int = 48
+    """`distinct`: model points held against the hand."""
     segment_points: int = 200
     """`distinct`: segment points in that scoring."""
     surface_distance: float = 0.002
@@ -371,6 +380,8 @@ class SelectionConfig(Section):
     """`likelihood`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 800
     """`likelihood`: model points used."""
+    contact_points: int = 256
+    """`likelihood`: model points held against the hand."""
     segment_points: int = 800
     """`likelihood`: segment points used."""
     merge_distance: NonNegative = 0.001

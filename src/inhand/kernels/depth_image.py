@@ -19,6 +19,7 @@ def fit_planes(
     depth: wp.array(dtype=float),
     window: float,
     gate: float,
+    far: float,
     smooth: wp.array(dtype=float),
     normals: wp.array(dtype=wp.vec3),
     first: int,
@@ -30,6 +31,7 @@ def fit_planes(
     Args (beyond the obvious):
         window: radius of the neighbourhood [m].
         gate: neighbours whose depth differs by more are left out, per metre of window radius.
+        far: pixels behind this depth are left alone [m].
         smooth: out, depth of the fitted plane at the pixel [m], 0 without a reading.
         normals: out, unit normal towards the camera, 0 where no plane could be fitted.
     """
@@ -39,7 +41,7 @@ def fit_planes(
     z = depth[i]
     smooth[i] = z
     normals[i] = wp.vec3(0.0, 0.0, 0.0)
-    if z <= 0.0:
+    if z <= 0.0 or z > far:
         return
     radius = wp.clamp(int(window * camera.fx / z + 0.5), 2, 6)
     step = wp.max(1, radius // 2)

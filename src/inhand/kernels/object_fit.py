@@ -70,7 +70,7 @@ def visible_score(
         if hand > 0.0 and hand < p[2] - rule.tolerance:
             continue
         total += facing * judge_point(e.view, rule, p, n, pixel)
-    return total / (VISIBLE_SHARE * float(n_points))
+    return total / (VISIBLE_SHARE * wp.max(1.0, float(n_points)))
 
 
 @wp.func
@@ -103,6 +103,8 @@ def score_poses(
     n_points: int,
     fields: Fields,
     segment_stride: int,
+    early_points: int,
+    hopeless: float,
     score: wp.array(dtype=float),
     first: int,
 ):
@@ -111,11 +113,17 @@ def score_poses(
     Args (beyond the obvious):
         points, normals: model surface samples, object frame; the first `n_points` are used.
         segment_stride: every how many segment points one is used.
+        early_points, hopeless: a pose whose visible score after the first `early_points` model
+            points is below `hopeless` keeps that, less 1.
     """
     i = first + wp.tid()
     T = T_camera_object[index[i]]
     if T[3, 3] == 0.0:
         score[i] = -1.0e6
+        return
+    early = visible_score(e, rule, T, points, normals, early_points)
+    if early < hopeless:
+        score[i] = early - 1.0
         return
     score[i] = visible_score(e, rule, T, points, normals, n_points) + (
         e.share_weight * explained_share(e, T, fields, segment_stride)

@@ -20,15 +20,24 @@ class PairTable:
 
 
 @wp.func
-def pair_frame(p1: wp.vec3, n1: wp.vec3, p2: wp.vec3, n2: wp.vec3):
-    """Rotation whose columns are the pair's axes: along the pair, along its mean normal, across."""
+def opposed(p1: wp.vec3, n1: wp.vec3, p2: wp.vec3, n2: wp.vec3):
+    """Whether the normals look to opposite sides of the pair, seen along it."""
+    along = wp.normalize(p2 - p1)
+    return wp.dot(n1, n2) < wp.dot(n1, along) * wp.dot(n2, along)
+
+
+@wp.func
+def pair_frame(p1: wp.vec3, n1: wp.vec3, p2: wp.vec3, n2: wp.vec3, turn: bool):
+    """Rotation whose columns are the pair's axes: along the pair, along its mean normal, across.
+
+    `turn`: the second normal counts with the opposite sign in the mean.
+    """
     along = wp.normalize(p2 - p1)
     a = n1 - wp.dot(n1, along) * along
     b = n2 - wp.dot(n2, along) * along
-    up = a + b
-    if wp.length(up) < 0.3:
-        up = a - b
-    up = wp.normalize(up)
+    if turn:
+        b = -b
+    up = wp.normalize(a + b)
     across = wp.cross(along, up)
     return wp.mat33(
         along[0], up[0], across[0], along[1], up[1], across[1], along[2], up[2], across[2]
@@ -71,7 +80,9 @@ def match_pairs(
     f1 = angle_between(n1, direction) / angle_step
     f2 = angle_between(n2, direction) / angle_step
     f3 = angle_between(n1, n2) / angle_step
-    scene = pair_frame(p1, n1, p2, n2)
+    # The mean of opposed normals says little; model and scene must agree on what takes its place.
+    turn = opposed(p1, n1, p2, n2)
+    scene = pair_frame(p1, n1, p2, n2, turn)
     middle = 0.5 * (p1 + p2)
     for m in range(matches):
         T_camera_object[k * matches + m] = wp.mat44()
@@ -95,8 +106,12 @@ def match_pairs(
         entry = start + wp.min(count - 1, int(wp.randf(state) * float(count)))
         i = table.pair_first[entry]
         j = table.pair_second[entry]
-        model = pair_frame(table.points[i], table.normals[i], table.points[j], table.normals[j])
+        model = pair_frame(
+            table.points[i], table.normals[i], table.points[j], table.normals[j], turn
+        )
         R = scene @ wp.transpose(model)
+        if wp.determinant(R) < 0.5:
+            continue  # both normals along the pair: nothing fixes the rotation about it
         t = middle - R @ (0.5 * (table.points[i] + table.points[j]))
         T_camera_object[k * matches + m] = wp.mat44(
             R[0, 0], R[0, 1], R[0, 2], t[0],

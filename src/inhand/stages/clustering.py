@@ -35,6 +35,7 @@ def cluster(
         model_points=config.model_points,
         segment_points=config.segment_points,
         tolerance=config.tolerance,
+        contact_points=config.contact_points,
     )
     return distinct_poses(
         PoseSet(shortlist.T_camera_object, scores), obj, config.surface_distance, config.keep

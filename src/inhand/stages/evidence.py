@@ -73,6 +73,8 @@ def score(
     model_points: int,
     segment_points: int,
     tolerance: float,
+    early_points: int = 0,
+    hopeless: float = 0.0,
 ) -> NDArray[np.float32]:
     """Scores, shape (k,), of the poses at `index` of a device array of poses.
 
@@ -83,6 +85,8 @@ def score(
         index: which poses, shape (k,).
         model_points, segment_points: how many of each are used; more is finer and slower.
         tolerance: depth agreement of a model point with its pixel [m].
+        early_points, hopeless: a pose whose visible score is below `hopeless` after so many model
+            points is given up and ranks below all others; 0 gives up none.
     """
     device = obj.device
     out = wp.empty(len(index), dtype=float, device=device)
@@ -95,7 +99,7 @@ def score(
         score_poses,
         len(index),
         [evidence.arrays, rule, T_camera_object, wp.array(index, dtype=int, device=device)]
-        + [obj.points, obj.normals, n, obj.fields, stride, out],
+        + [obj.points, obj.normals, n, obj.fields, stride, early_points, hopeless, out],
         device,
         work_per_item=n + evidence.segment_size // stride,
     )
@@ -110,6 +114,7 @@ def score_with_contact(
     model_points: int,
     segment_points: int,
     tolerance: float,
+    contact_points: int,
 ) -> NDArray[np.float32]:
     """Scores, shape (m,), of poses (m, 4, 4): as `score`, less the `contact_penalty`."""
     poses, count = device_poses(T_camera_object, obj.device), len(T_camera_object)
@@ -122,11 +127,11 @@ def score_with_contact(
         segment_points=segment_points,
         tolerance=tolerance,
     )
-    return fit - contact_penalty(evidence, obj, poses, count)
+    return fit - contact_penalty(evidence, obj, poses, count, contact_points)
 
 
 def contact_penalty(
-    evidence: Evidence, obj: PackedObject, T_camera_object: Any, count: int
+    evidence: Evidence, obj: PackedObject, T_camera_object: Any, count: int, points: int
 ) -> NDArray[np.float32]:
     """Penalty, shape (count,), of poses that run into the hand or that no finger touches.
 
@@ -137,14 +142,14 @@ def contact_penalty(
     seen = certain & ~palm
     free_gap = c.free_gap if certain.all() else c.uncertain_gap
     farthest = free_gap + c.max_contact_penalty * c.gap_scale
-    depth = -_clearance(evidence, obj, T_camera_object, count, certain, 0.0)
-    gap = _clearance(evidence, obj, T_camera_object, count, ~palm, farthest)
+    depth = -_clearance(evidence, obj, T_camera_object, count, points, certain, 0.0)
+    gap = _clearance(evidence, obj, T_camera_object, count, points, ~palm, farthest)
     penalty = np.maximum(
         (depth - c.free_penetration) / c.penetration_scale, (gap - free_gap) / c.gap_scale
     )
     penalty = np.clip(penalty, 0, c.max_contact_penalty)
     if seen.any():
-        gap = _clearance(evidence, obj, T_camera_object, count, seen, farthest)
+        gap = _clearance(evidence, obj, T_camera_object, count, points, seen, farthest)
         apart = np.clip((gap - c.free_gap) / c.gap_scale, 0, 1)
         penalty += c.seen_finger_apart * apart
     return np.asarray(penalty, dtype=np.float32)
@@ -155,6 +160,7 @@ def _clearance(
     obj: PackedObject,
     T_camera_object: Any,
     count: int,
+    points: int,
     links: NDArray[np.bool_],
     farthest: float,
 ) -> NDArray[np.float32]:
@@ -164,10 +170,10 @@ def _clearance(
     launch(
         hand_clearance,
         count,
-        [T_camera_object, obj.points, evidence.config.contact_points, hand.fields, hand.spheres]
+        [T_camera_object, obj.points, points, hand.fields, hand.spheres]
         + [device_poses(evidence.hand_state.T_camera_link, device)]
         + [wp.array(links.astype(np.int32), dtype=int, device=device), farthest, clearance],
         device,
-        work_per_item=4 * evidence.config.contact_points,
+        work_per_item=4 * points,
     )
     return np.asarray(clearance.numpy())

@@ -101,23 +101,22 @@ class FingerSearch:
         config, joints = self.config, list(finger.joints)
         lower, upper = self.hand.lower[joints], self.hand.upper[joints]
 
-        def score(tried: Array, tolerance: float) -> Array:
+        def score(tried: Array, tolerance: float, points: int) -> Array:
             q = np.repeat(self.hand.rest[None], len(tried), 0)
             q[:, joints] = tried
             poses = np.repeat(T_camera_hand[None], len(q), 0)
-            return self._score(finger.links, q, poses, others, tolerance)[0]
+            return self._score(finger.links, q, poses, others, tolerance, points)[0]
 
         sampler = qmc.Sobol(len(joints), seed=rng)
         tried = lower + sampler.random_base2(int(np.log2(config.samples))) * (upper - lower)
-        centres = _distinct(
-            tried, score(tried, config.coarse_tolerance), config.distinct_angle, config.alternatives
-        )
+        scores = score(tried, config.coarse_tolerance, config.coarse_points)
+        centres = _distinct(tried, scores, config.distinct_angle, config.alternatives)
         spread = rng.normal(
             0, config.local_spread, (len(centres), config.local_samples, len(joints))
         )
         spread[:, 0] = 0.0
         around = np.clip(centres[:, None] + spread, lower, upper)
-        scores = score(around.reshape(-1, len(joints)), config.fine_tolerance)
+        scores = score(around.reshape(-1, len(joints)), config.fine_tolerance, config.fine_points)
         scores = scores.reshape(len(centres), -1)
         best = around[np.arange(len(centres)), scores.argmax(axis=1)]
         return best[np.argsort(-scores.max(axis=1))], float(scores.max())
@@ -129,13 +128,17 @@ class FingerSearch:
         T_camera_hand: Array,
         others: Any,
         tolerance: float | None = None,
+        points: int | None = None,
     ) -> tuple[Array, Array]:
-        """Visibility score of some links and the share of them that nothing hides, (c,) each."""
+        """Visibility score of some links and the share of them that nothing hides, (c,) each.
+
+        `points` surface samples of every link are used at most.
+        """
         packed, device, config = self.packed, self.packed.device, self.config
         rule = Visibility()
         rule.tolerance = tolerance or config.fine_tolerance
         rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
-        ranges = [np.arange(*packed.point_start[[i, i + 1]]) for i in links]
+        ranges = [np.arange(*packed.point_start[[i, i + 1]])[:points] for i in links]
         samples = wp.array(np.concatenate(ranges), dtype=int, device=device)
         poses = device_poses(packed.link_poses(q, T_camera_hand), device)
         score = wp.empty(len(q), dtype=float, device=device)

@@ -47,6 +47,8 @@ def generate_hypotheses(
         model_points=config.model_points,
         segment_points=config.segment_points,
         tolerance=config.tolerance,
+        early_points=config.early_points,
+        hopeless=config.hopeless,
     )
     return PoseSet(poses.numpy()[matched], scores)
 

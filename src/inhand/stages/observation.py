@@ -102,7 +102,7 @@ def observe(
     launch(
         fit_planes,
         n,
-        [pinhole(roi), flat, config.normal_window, config.normal_gate, smooth, normals],
+        [pinhole(roi), flat, config.normal_window, config.normal_gate, far, smooth, normals],
         device,
         work_per_item=25,
     )

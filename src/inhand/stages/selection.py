@@ -36,6 +36,7 @@ def select(
         model_points=config.model_points,
         segment_points=config.segment_points,
         tolerance=config.tolerance,
+        contact_points=config.contact_points,
     )
     ranked = distinct_poses(
         PoseSet(poses.T_camera_object, scores), obj, config.merge_distance, config.candidates
