@@ -115,7 +115,7 @@ def test_a_renderer_can_be_used_again_at_other_poses() -> None:
 def test_bounding_spheres_hold_every_vertex(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     vertices = rng.normal(rng.uniform(-1, 1, 3), 0.1, (count, 3))
-    mesh = TriangleMesh(vertices, rng.integers(0, count, (5, 3)))
+    mesh = TriangleMesh(vertices, rng.integers(0, count, (5, 3)).astype(np.int32))
     *centre, radius = bounding_sphere(mesh)
     assert np.linalg.norm(vertices - centre, axis=1).max() <= radius
     assert radius <= np.linalg.norm(np.ptp(vertices, axis=0)) / 2 + 1e-3

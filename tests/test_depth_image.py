@@ -16,13 +16,13 @@ WINDOW, GATE = 0.005, 2.0
 
 
 def fitted(
-    depth: np.ndarray, camera: Camera = CAMERA, window: float = WINDOW, gate: float = GATE
+    depth: np.ndarray, window: float = WINDOW, gate: float = GATE, far: float = 100.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed depth (H, W) and normals (H, W, 3)."""
     smooth = wp.empty(depth.size, dtype=float, device="cpu")
     normals = wp.empty(depth.size, dtype=wp.vec3, device="cpu")
     flat = wp.array(depth.reshape(-1), dtype=float, device="cpu")
-    inputs = [pinhole(camera), flat, window, gate, smooth, normals]
+    inputs = [pinhole(CAMERA), flat, window, gate, far, smooth, normals]
     launch(fit_planes, depth.size, inputs, "cpu", work_per_item=25)
     return smooth.numpy().reshape(depth.shape), normals.numpy().reshape(*depth.shape, 3)
 
@@ -98,6 +98,14 @@ def test_too_few_neighbours_are_no_surface() -> None:
     smooth, normals = fitted(depth)
     assert (normals == 0).all()
     np.testing.assert_allclose(smooth, depth, rtol=1e-6)
+
+
+def test_what_is_too_far_away_is_left_alone() -> None:
+    near, far = (plane_depth(CAMERA, np.array([0, 0, 1.0]), z) for z in (0.3, 0.5))
+    depth = np.where(np.arange(CAMERA.width) < 40, near, far)
+    smooth, normals = fitted(depth, far=0.4)
+    np.testing.assert_allclose(smooth, depth, rtol=1e-5)
+    np.testing.assert_array_equal((normals != 0).any(axis=-1), depth < 0.4)
 
 
 def test_an_empty_image_has_no_surface() -> None:

@@ -1,6 +1,6 @@
 """The pipeline as a whole: repeatable, free of state, for hands of any build."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import FrozenInstanceError, fields, replace
 from pathlib import Path
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tiny_urdf
 
-from inhand import EstimatorConfig, Hand, ObjectModel, PoseEstimate, PoseEstimator
+from inhand import EstimatorConfig, Hand, PoseEstimate, PoseEstimator
 from inhand.camera import Camera
 from inhand.estimator import StageResults
 from inhand.evaluation.metrics import ObjectMetric, wrist_error
@@ -19,21 +19,47 @@ from inhand.kernels import launch as seam
 from inhand.kernels.depth import DepthRenderer
 from inhand.synth.demo import builtin_object
 from inhand.synth.scene import Scene
+from inhand.urdf import read_urdf
 
-STAGES = (
-    "observation wrist hand_state segmentation evidence hypotheses clustering refinement pruning "
-    "selection"
-).split()
+STAGES = [
+    "observation",
+    "wrist",
+    "hand_state",
+    "segmentation",
+    "evidence",
+    "hypotheses",
+    "clustering",
+    "refinement",
+    "pruning",
+    "selection",
+]
 CONFIGS = {"default": EstimatorConfig(), "paper": EstimatorConfig.paper()}
-
-
-@pytest.fixture(params=CONFIGS)
-def config(request: pytest.FixtureRequest) -> EstimatorConfig:
-    return CONFIGS[request.param]
 
 
 def make(scene: Scene, config: EstimatorConfig | None = None) -> PoseEstimator:
     return PoseEstimator(scene.hand, scene.obj, config, "cpu")
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def config(request: pytest.FixtureRequest) -> EstimatorConfig:
+    return CONFIGS[request.param]
+
+
+@pytest.fixture(scope="module")
+def scene(scenes: list[Scene]) -> Scene:
+    """The one that most tests look at."""
+    return scenes[3]
+
+
+@pytest.fixture(scope="module")
+def estimator(scene: Scene, config: EstimatorConfig) -> PoseEstimator:
+    return make(scene, config)
+
+
+@pytest.fixture(scope="module")
+def first(estimator: PoseEstimator, scene: Scene) -> PoseEstimate:
+    """The first answer of a new estimator."""
+    return estimate(estimator, scene)
 
 
 def estimate(estimator: PoseEstimator, scene: Scene) -> PoseEstimate:
@@ -62,31 +88,27 @@ def assert_same(one: Any, other: Any) -> None:
 # Repeatable
 
 
-def test_same_seed_same_answer(scenes: list[Scene], config: EstimatorConfig) -> None:
-    scene = scenes[3]
-    estimator = make(scene, config)
-    first = estimate(estimator, scene)
+def test_same_seed_same_answer(scene: Scene, config: EstimatorConfig, first: PoseEstimate) -> None:
     assert first.found
-    assert_same(estimate(estimator, scene), first)
     assert_same(estimate(make(scene, config), scene), first)
 
 
-def test_no_state_is_left_by_other_frames(scenes: list[Scene], config: EstimatorConfig) -> None:
-    scene = scenes[3]
-    estimator = make(scene, config)
-    first = estimate(estimator, scene)
-    for other in (scenes[7], scenes[0], replace(scene, depth=0 * scene.depth)):
+def test_no_state_is_left_by_other_frames(
+    scenes: list[Scene], scene: Scene, estimator: PoseEstimator, first: PoseEstimate
+) -> None:
+    for other in (scenes[7], replace(scene, depth=0 * scene.depth)):
         estimate(estimator, other)
     assert_same(estimate(estimator, scene), first)
 
 
 @pytest.mark.parametrize("threads", [1, 3, 8])
 def test_same_answer_on_any_number_of_threads(
-    scenes: list[Scene], config: EstimatorConfig, threads: int, monkeypatch: pytest.MonkeyPatch
+    scene: Scene,
+    estimator: PoseEstimator,
+    first: PoseEstimate,
+    threads: int,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scene = scenes[3]
-    estimator = make(scene, config)
-    first = estimate(estimator, scene)
     with ThreadPoolExecutor(threads) as pool:
         monkeypatch.setattr(seam, "_pool", lambda: pool)
         monkeypatch.setattr(seam, "cpu_count", lambda: threads)
@@ -94,37 +116,33 @@ def test_same_answer_on_any_number_of_threads(
         assert_same(estimate(estimator, scene), first)
 
 
-def test_same_answer_from_any_kind_of_array(scenes: list[Scene]) -> None:
-    scene = scenes[3]
-    camera, T = scene.camera.subsampled(2), scene.T_camera_hand_given
-    depth = scene.depth[::2, ::2].copy()
+def test_same_answer_from_any_kind_of_array(scene: Scene) -> None:
+    camera, T = scene.camera.subsampled(4), scene.T_camera_hand_given
+    depth = scene.depth[::4, ::4].copy()
     estimator = make(scene)
     first = estimator.estimate(depth, camera, T)
     for same in (
-        depth.astype(np.float64),
-        np.asfortranarray(depth),
-        depth.astype(">f4"),
+        np.asfortranarray(depth.astype(">f8")),
         depth.tolist(),
         np.where(depth == 0, np.nan, depth),
-        np.where(depth == 0, np.inf, depth),
+        np.where(depth == 0, -np.inf, depth),
         np.ma.masked_array(np.where(depth == 0, 0.4, depth), depth == 0),
     ):
         assert_same(estimator.estimate(same, camera, T.tolist()), first)
 
 
-def test_input_is_left_alone(scenes: list[Scene]) -> None:
-    depth, T = scenes[3].depth[::2, ::2].copy(), scenes[3].T_camera_hand_given.copy()
+def test_input_is_left_alone(scene: Scene) -> None:
+    depth, T = scene.depth[::2, ::2].copy(), scene.T_camera_hand_given.copy()
     for array in (depth, T):
         array.flags.writeable = False
-    assert make(scenes[3]).estimate(depth, scenes[3].camera.subsampled(2), T).found
+    assert make(scene).estimate(depth, scene.camera.subsampled(2), T).found
 
 
 # The answer
 
 
-def test_answer_is_complete(scenes: list[Scene], config: EstimatorConfig) -> None:
-    scene = scenes[3]
-    answer = estimate(make(scene, config), scene)
+def test_answer_is_complete(scene: Scene, first: PoseEstimate) -> None:
+    answer = first
     assert answer.found
     assert answer.reason == ""
     assert 0 < answer.confidence <= 1
@@ -142,33 +160,33 @@ def test_answer_is_complete(scenes: list[Scene], config: EstimatorConfig) -> Non
         answer.confidence = 1.0  # type: ignore[misc]
 
 
-def test_candidates_are_as_many_as_asked_for_and_distinct(scenes: list[Scene]) -> None:
-    scene = scenes[0]
+def test_candidates_are_distinct_and_no_more_than_asked_for(scene: Scene) -> None:
     config = EstimatorConfig()
-    config = replace(config, selection=replace(config.selection, candidates=4))
-    answer = estimate(make(scene, config), scene)
-    assert len(answer.candidates) == 4
+    every = estimate(make(scene, config), scene).candidates
+    poses = [candidate.T_camera_object for candidate in every]
     metric = ObjectMetric(scene.obj)
-    poses = [candidate.T_camera_object for candidate in answer.candidates]
     for i, pose in enumerate(poses):
         assert all(metric.add(other, pose) > 0.0005 for other in poses[:i])
+    config = replace(config, selection=replace(config.selection, candidates=2))
+    assert len(every) > 2
+    assert_same(estimate(make(scene, config), scene).candidates, every[:2])
 
 
-def test_another_seed_finds_the_same_pose(scenes: list[Scene]) -> None:
-    scene = scenes[3]
+def test_another_seed_finds_the_same_pose(scene: Scene) -> None:
     metric = ObjectMetric(scene.obj)
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         answer = estimate(make(scene, EstimatorConfig(seed=seed)), scene)
         assert answer.T_camera_object is not None
         assert metric.adi(answer.T_camera_object, scene.T_camera_object) < 0.005
 
 
-def test_what_every_stage_returned(scenes: list[Scene], config: EstimatorConfig) -> None:
-    scene = scenes[3]
-    arguments = scene.depth[::2, ::2], scene.camera.subsampled(2), scene.T_camera_hand_given
-    estimator = make(scene, config)
-    answer, results = estimator.run(*arguments)
-    assert_same(answer, estimator.estimate(*arguments))
+def test_what_every_stage_returned(
+    scene: Scene, estimator: PoseEstimator, first: PoseEstimate
+) -> None:
+    answer, results = estimator.run(
+        scene.depth[::2, ::2], scene.camera.subsampled(2), scene.T_camera_hand_given
+    )
+    assert_same(answer, first)
     for field in fields(StageResults):
         assert getattr(results, field.name) is not None
     for stage in ("hypotheses", "clustered", "refined", "pruned", "selection"):
@@ -177,8 +195,7 @@ def test_what_every_stage_returned(scenes: list[Scene], config: EstimatorConfig)
         assert np.isfinite(poses.score).all()
 
 
-def test_stages_that_were_not_reached(scenes: list[Scene]) -> None:
-    scene = scenes[0]
+def test_stages_that_were_not_reached(scene: Scene) -> None:
     depth, _ = DepthRenderer([link.mesh for link in scene.hand.links], "cpu").render(
         scene.camera,
         scene.T_camera_hand
@@ -261,33 +278,39 @@ def one_finger_without_a_palm(folder: Path) -> Hand:
     )
 
 
-HANDS = {
-    "gripper": (parallel_gripper, [0.03]),
-    "three fingers": (three_finger_hand, [0.4, 0.5, 0.3, 0.6, 0.5]),
-    "one finger": (one_finger_without_a_palm, [0.3]),
-}
-
-
-@pytest.mark.parametrize("name", HANDS)
-@pytest.mark.parametrize("view", [0, 1, 2])
-def test_hands_of_any_build(
-    tmp_path: Path, config: EstimatorConfig, name: str, view: int
-) -> None:
-    build, joints = HANDS[name]
-    hand, obj, q = build(tmp_path), builtin_object("cuboid"), np.array(joints)
-    T_camera_hand = exp(np.array([[2.0, 0.3, 0.2], [1.7, -0.6, 0.4], [-1.6, 0.2, 0.9]][view] + 3 * [0.0]))
-    T_camera_hand[:3, 3] = [0, 0, 0.45] - T_camera_hand[:3, :3] @ hand.reach[0]
-    T_camera_object = T_camera_hand @ exp(np.array([0.2, 0.1, 0.5, 0.0, 0.0, 0.09]))
-    depth = render(hand, obj, q, T_camera_hand, T_camera_object)
-    answer = PoseEstimator(hand, obj, config, "cpu").estimate(depth, CAMERA, T_camera_hand)
-    assert answer.found
-    print(answer.confidence, answer.joint_positions, ObjectMetric(obj).adi(answer.T_camera_object, T_camera_object))
-
-
+BUILDS: list[tuple[Callable[[Path], Hand], list[float]]] = [
+    (parallel_gripper, [0.03]),
+    (three_finger_hand, [0.4, 0.5, 0.3, 0.6, 0.5]),
+    (one_finger_without_a_palm, [0.3]),
+]
 CAMERA = Camera(300, 300, 159.5, 119.5, width=320, height=240)
 
 
-def render(hand: Hand, obj: ObjectModel, q: np.ndarray, T_camera_hand: np.ndarray, T_camera_object: np.ndarray) -> np.ndarray:
-    meshes = [*(link.mesh for link in hand.links), obj.mesh]
+@pytest.mark.parametrize(("build", "q"), BUILDS)
+@pytest.mark.parametrize("turn", [(2.0, 0.3, 0.2), (-1.6, 0.2, 0.9)])
+def test_hands_of_any_build(
+    tmp_path: Path,
+    config: EstimatorConfig,
+    build: Callable[[Path], Hand],
+    q: list[float],
+    turn: tuple[float, float, float],
+) -> None:
+    hand, obj = build(tmp_path), builtin_object("cuboid")
+    T_camera_hand = exp(np.array([*turn, 0, 0, 0]))
+    T_camera_hand[:3, 3] = [0, 0, 0.45] - T_camera_hand[:3, :3] @ hand.reach[0]
+    T_camera_object = T_camera_hand @ exp(np.array([0.2, 0.1, 0.5, 0, 0, 0.09]))
     poses = [*(T_camera_hand @ hand.forward_kinematics(q)), T_camera_object]
-    return DepthRenderer(meshes, "cpu").render(CAMERA, np.stack(poses))[0]
+    meshes = [*(link.mesh for link in hand.links), obj.mesh]
+    depth, _ = DepthRenderer(meshes, "cpu").render(CAMERA, np.stack(poses))
+    answer = PoseEstimator(hand, obj, config, "cpu").estimate(depth, CAMERA, T_camera_hand)
+    assert answer.T_camera_object is not None
+    check_rigid(answer.T_camera_object, "T_camera_object")
+    assert tuple(answer.joint_positions) == hand.all_joint_names
+    found = hand.joint_vector(answer.joint_positions)  # also checks that mimic joints agree
+    assert ((hand.lower <= found) & (found <= hand.upper)).all()
+    limits = {joint.name: joint for joint in read_urdf(tmp_path / "hand.urdf").joints}
+    for name, position in answer.joint_positions.items():
+        assert limits[name].lower <= position <= limits[name].upper
+    if config == EstimatorConfig() and build is not one_finger_without_a_palm:
+        assert ObjectMetric(obj).adi(answer.T_camera_object, T_camera_object) < 0.003
+        assert np.median(np.abs(found - q)) < 0.03  # some joints may not be seen

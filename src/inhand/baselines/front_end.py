@@ -81,7 +81,9 @@ def object_cloud(
     return Cloud(segment.points, segment.normals), results
 
 
-def masked_cloud(observation: Observation, mask: NDArray[np.bool_], config: EstimatorConfig) -> Cloud:
+def masked_cloud(
+    observation: Observation, mask: NDArray[np.bool_], config: EstimatorConfig
+) -> Cloud:
     """The scene points whose pixels the mask (H, W) names; of few points, those of every pixel.
 
     Raises:

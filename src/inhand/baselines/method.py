@@ -4,6 +4,7 @@ import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -58,11 +59,8 @@ class Method(ABC):
 
     name: str
     """Name that it goes by in tables."""
-
-    @property
-    def perturbation(self) -> Mapping[str, float]:
-        """What the method was handicapped by, by name [m, rad]; empty for most."""
-        return {}
+    perturbation: Mapping[str, float] = MappingProxyType({})
+    """What the method is handicapped by [m, rad], by name; nothing for most."""
 
     @abstractmethod
     def prepare(self, hand: Hand, obj: ObjectModel, device: str) -> PreparedMethod:

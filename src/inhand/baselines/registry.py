@@ -5,8 +5,12 @@ from inhand.baselines.super4pcs import Super4PCS
 from inhand.baselines.registration import CloudMethod
 from inhand.config import EstimatorConfig
 
+
 def find_method(name, seed=0):
-    if name == "inhand": return Estimator(name, EstimatorConfig())
-    if name.startswith("ablation"): return Estimator(name, ablation()[name])
-    icp = name.endswith("+icp"); source = "hs" if "+hs" in name else "mask" if "+mask" in name else "region"
+    if name == "inhand":
+        return Estimator(name, EstimatorConfig())
+    if name.startswith("ablation"):
+        return Estimator(name, ablation()[name])
+    icp = name.endswith("+icp")
+    source = "hs" if "+hs" in name else "mask" if "+mask" in name else "region"
     return CloudMethod(name, {"super4pcs": Super4PCS}[name.split("+")[0]], source, icp)

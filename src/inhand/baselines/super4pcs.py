@@ -49,9 +49,9 @@ class Settings:
     """Number of bases."""
     tries: int = 200
     """Triangles of which a base takes the largest."""
-    model_points: int = 300
+    model_points: int = 200
     """Points of the model that make sets."""
-    directions: int = 48
+    directions: int = 16
     """Bins of directions in the rotation-aware grid."""
     sets_per_base: int = 1000
     """Congruent sets of a base that are verified at most."""
@@ -166,7 +166,7 @@ class Super4PCS(Registration):
         index.stretch = 2 * self.obj.model.diameter
         inputs = [pairs, ratios, index]
         launch(fill_grid, n, inputs, self.obj.device, work_per_item=3 * len(directions))
-        grid.build(index.points, self.settings.delta)
+        grid.build(index.points, 2 * self.settings.delta)
         return index, grid
 
     def _empty(self, n: int, dtype: Any) -> Any:

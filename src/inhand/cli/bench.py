@@ -36,13 +36,14 @@ class Bench:
     """
 
     frames: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Folders of .npz frames, or folders of such folders."""
+    """BOP data sets such as `inhand synth` makes, folders of .npz frames, or folders of these."""
     out: Path | None = None
     """Output folder. Default: out/bench-NAME, after the frames' folder."""
     objects: Path | None = None
-    """Folder of the object meshes. Default: `objects` beside the frames or above."""
+    """Folder of the object meshes. Default: the data set's, or `objects` beside it or above."""
     hand: Path | None = None
-    """URDF of the hand. Default: `hands/t42/hand_T42b.urdf` beside the frames or above."""
+    """URDF of the hand. Default: the one that the data set names, or `hands/t42/hand_T42b.urdf`
+    beside it or above."""
     every: int = 1
     """Take only every n-th frame."""
     limit: int | None = None
@@ -67,8 +68,9 @@ def run(args: Bench) -> int:
     from inhand.datasets.frames import find_frames, frame_name
     from inhand.evaluation.benchmark import pick_frames
     from inhand.evaluation.contact_sheet import worst_frames
-    from inhand.evaluation.report import print_summary, summarise
+    from inhand.evaluation.report import print_summary
     from inhand.evaluation.results import Ledger
+    from inhand.evaluation.summary import summarise
     from inhand.kernels.launch import resolve_device
 
     console = Console()
@@ -98,12 +100,12 @@ def run(args: Bench) -> int:
 def _settings(args: Bench, device: str) -> dict[str, Any]:
     """What the results depend on."""
     import inhand
-    from inhand.datasets.frames import find_upwards
+    from inhand.datasets.frames import find_hand, find_objects
     from inhand.errors import InputError
     from inhand.evaluation.results import source_key
 
-    hand = args.hand or find_upwards(args.frames[0], DEFAULT_HAND)
-    objects = args.objects or find_upwards(args.frames[0], "objects")
+    hand = args.hand or find_hand(args.frames[0], DEFAULT_HAND)
+    objects = args.objects or find_objects(args.frames[0], "objects")
     if hand is None or objects is None:
         flag, what = ("--hand", DEFAULT_HAND) if hand is None else ("--objects", "objects")
         raise InputError(f"there is no {what} beside {args.frames[0]} or above: give {flag}")
@@ -124,7 +126,7 @@ def _tools(
     args: Bench, settings: dict[str, Any], device: str
 ) -> tuple["Benchmark", "ContactSheet"]:
     """The benchmark and the drawer of the contact sheet."""
-    from inhand.datasets.frames import find_object_mesh
+    from inhand.datasets import frames
     from inhand.estimator import PoseEstimator
     from inhand.evaluation.benchmark import Benchmark
     from inhand.evaluation.contact_sheet import ContactSheet
@@ -136,7 +138,7 @@ def _tools(
 
     @cache
     def load_object(name: str) -> ObjectModel:
-        return ObjectModel.from_mesh(find_object_mesh(settings["objects"], name))
+        return frames.load_object(settings["objects"], name)
 
     def make_estimator(model: ObjectModel) -> PoseEstimator:
         return PoseEstimator(hand, model, config=config, device=device)

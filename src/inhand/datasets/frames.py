@@ -1,77 +1,54 @@
-"""Frames with ground truth, one `.npz` file a frame."""
+"""Frames with ground truth in folders: found, named and read, whatever their layout.
 
-import zipfile
-import zlib
+Two layouts are known by their files: `.npz`, one file a frame (`datasets.npz`), and BOP's, with
+`scene_gt.json` in every scene's folder (`datasets.bop`). A frame is named by a path: its `.npz`
+file, or the mask of the visible part of its object, `SCENE/mask_visib/IMAGE_INSTANCE.png`. A layout
+that comes later needs a reader of its own here, and an answer in each of these functions.
+"""
+
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from inhand.camera import Camera
-from inhand.errors import InputError
-from inhand.geometry.se3 import check_rigid
-
-DEPTH_UNIT = 1e-4
-"""Metres per count of a frame file's `depth`."""
-
-LABEL_HAND = 1
-LABEL_OBJECT = 2
-
-_KEYS = (
-    "obj",
-    "depth",
-    "K",
-    "T_camera_hand_given",
-    "T_camera_hand",
-    "T_camera_object",
-    "q",
-    "joints",
-    "label",
-    "visib",
+from inhand.datasets import bop, bop_models
+from inhand.datasets.frame import (
+    LABEL_BACKGROUND,
+    LABEL_HAND,
+    LABEL_NOTHING,
+    LABEL_OBJECT,
+    Frame,
+    Truth,
 )
+from inhand.datasets.npz import read_npz
+from inhand.errors import InputError
+from inhand.object_model import ObjectModel
+
+__all__ = [
+    "LABEL_BACKGROUND",
+    "LABEL_HAND",
+    "LABEL_NOTHING",
+    "LABEL_OBJECT",
+    "Frame",
+    "Truth",
+    "find_frames",
+    "find_hand",
+    "find_object_mesh",
+    "find_objects",
+    "find_upwards",
+    "frame_name",
+    "load_object",
+    "read_frame",
+]
+
 _MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".dae")
 
 
-@dataclass(frozen=True)
-class Truth:
-    """Ground truth of a frame, for scoring only."""
-
-    T_camera_hand: NDArray[np.float64]
-    """True wrist pose, shape (4, 4)."""
-    T_camera_object: NDArray[np.float64]
-    """True object pose, shape (4, 4)."""
-    joint_positions: dict[str, float]
-    """True joint angles [rad] by joint name."""
-    label: NDArray[np.uint8]
-    """What each pixel shows, shape (H, W): 0 nothing, 1 hand, 2 object, 3 background."""
-    visible_share: float
-    """Visible share of the object's silhouette, 0 to 1."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One depth image with what the estimator may know of it, and its ground truth."""
-
-    name: str
-    """Folder and file name without suffix, such as `clean/cuboid_003`."""
-    object_name: str
-    """Name of the object's mesh file, without suffix."""
-    depth: NDArray[np.float32]
-    """Depth z [m], shape (H, W), 0 where there is no reading."""
-    camera: Camera
-    """Intrinsics of the depth image."""
-    T_camera_hand_given: NDArray[np.float64]
-    """The wrist pose that the estimator is given (approximate), shape (4, 4)."""
-    truth: Truth
-    """What the estimator must find."""
-
-
 def find_frames(folders: Sequence[str | Path]) -> list[Path]:
-    """Frame files of folders of `.npz` files, or of folders that hold such folders, sorted.
+    """Frames of data sets, sorted, each data set in any layout.
+
+    Args:
+        folders: folders of `.npz` files, folders of such folders, or BOP data sets, their splits
+            or scenes; single frames too.
 
     Raises:
         InputError: a folder is missing, no frame is found in it, or two frames have one name.
@@ -82,11 +59,13 @@ def find_frames(folders: Sequence[str | Path]) -> list[Path]:
             files = [folder]
         elif folder.is_dir():
             files = sorted(folder.glob("*.npz")) or sorted(folder.glob("*/*.npz"))
+            files = files or bop.find_frames(folder)
         else:
             raise InputError(f"there is no folder of frames {folder}")
         if not files:
             raise InputError(
-                f"{folder} holds no frames: expected .npz files in it, or folders of .npz files"
+                f"{folder} holds no frames: expected .npz files in it, or folders of .npz files, "
+                "or a BOP data set with ground truth (scene_gt.json in the scenes' folders)"
             )
         found += [file for file in files if file not in found]
     if not found:
@@ -98,81 +77,50 @@ def find_frames(folders: Sequence[str | Path]) -> list[Path]:
 
 
 def frame_name(path: str | Path) -> str:
-    """Name of the frame in the file `path`: folder and file name without suffix."""
+    """Name of the frame at `path`: folder and file name without suffix, or BOP's identifiers.
+
+    BOP's are `DATASET/SCENE/IMAGE_INSTANCE`.
+    """
     path = Path(path).resolve()
+    if bop.is_frame(path):
+        return f"{bop.dataset_folder(path.parents[1]).name}/{path.parents[1].name}/{path.stem}"
     return f"{path.parent.name}/{path.stem}"
 
 
 def read_frame(path: str | Path) -> Frame:
     """Read one frame.
 
-    The file holds `obj`, `depth` (uint16, 0.1 mm, 0 = no reading), `K` (3, 3),
-    `T_camera_hand_given`, and the truth: `T_camera_hand`, `T_camera_object`, `q` [rad] and
-    `joints` (their names), `label` and `visib`.
+    Raises:
+        InputError: a file is missing, cut short, or does not fit the others.
+    """
+    path = Path(path)
+    if bop.is_frame(path):
+        return bop.read_frame(path, frame_name(path))
+    return read_npz(path, frame_name(path))
+
+
+def find_hand(folder: str | Path, relative: str) -> Path | None:
+    """URDF of the hand in a data set: the one a BOP data set names, or as by `find_upwards`."""
+    return bop.find_hand(Path(folder)) or find_upwards(folder, relative)
+
+
+def find_objects(folder: str | Path, relative: str) -> Path | None:
+    """Folder of a data set's object models: a BOP data set's, or as by `find_upwards`."""
+    scenes = bop.find_scenes(Path(folder))
+    if scenes and (models := bop_models.find_models(bop.dataset_folder(scenes[0]))):
+        return models
+    return find_upwards(folder, relative)
+
+
+def load_object(folder: str | Path, name: str) -> ObjectModel:
+    """The model of the object called `name` in a folder of meshes [m] or of BOP models.
 
     Raises:
-        InputError: the file is missing, cut short, or its fields are missing or do not fit each
-            other.
+        InputError: `folder` is missing or holds no such mesh, or the mesh is broken.
     """
-    fields = _read_arrays(Path(path))
-    try:
-        return _frame(frame_name(path), fields)
-    except (InputError, ValueError, TypeError) as error:
-        raise InputError(f"the frame {path} is not usable: {error}") from error
-
-
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in _KEYS if key not in archive.files]
-            if missing:
-                raise InputError(
-                    f"the frame {path} lacks {', '.join(missing)}; it holds "
-                    f"{', '.join(archive.files) or 'nothing'}"
-                )
-            return {key: archive[key] for key in _KEYS}
-    except FileNotFoundError as error:
-        raise InputError(f"there is no frame file {path}") from error
-    except InputError:
-        raise
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(
-            f"cannot read the frame {path} ({error}): is it a complete .npz file?"
-        ) from error
-
-
-def _frame(name: str, fields: dict[str, NDArray[Any]]) -> Frame:
-    depth, label = fields["depth"], fields["label"]
-    if depth.ndim != 2 or depth.dtype != np.uint16:
-        raise InputError(
-            f"depth must be uint16 of shape (H, W), got {depth.dtype} of shape {depth.shape}"
-        )
-    if label.shape != depth.shape:
-        raise InputError(f"label has shape {label.shape}, depth has {depth.shape}")
-    angles, joints = np.asarray(fields["q"], dtype=np.float64), fields["joints"]
-    if angles.ndim != 1 or angles.shape != joints.shape or not np.isfinite(angles).all():
-        raise InputError(
-            f"q must hold one finite angle for each of joints, got q of shape {angles.shape} "
-            f"and joints of shape {joints.shape}"
-        )
-    visible_share = float(fields["visib"])
-    if not 0.0 <= visible_share <= 1.0:
-        raise InputError(f"visib must be a share from 0 to 1, got {visible_share}")
-    height, width = depth.shape
-    return Frame(
-        name=name,
-        object_name=str(fields["obj"]),
-        depth=depth.astype(np.float32) * np.float32(DEPTH_UNIT),
-        camera=Camera.from_matrix(fields["K"], width=width, height=height, depth_unit=DEPTH_UNIT),
-        T_camera_hand_given=check_rigid(fields["T_camera_hand_given"], "T_camera_hand_given"),
-        truth=Truth(
-            T_camera_hand=check_rigid(fields["T_camera_hand"], "T_camera_hand"),
-            T_camera_object=check_rigid(fields["T_camera_object"], "T_camera_object"),
-            joint_positions={str(j): float(a) for j, a in zip(joints, angles, strict=True)},
-            label=label.astype(np.uint8),
-            visible_share=visible_share,
-        ),
-    )
+    if bop_models.is_models_folder(Path(folder)):
+        return bop_models.load_model(Path(folder), name)
+    return ObjectModel.from_mesh(find_object_mesh(folder, name))
 
 
 def find_upwards(start: str | Path, relative: str) -> Path | None:

@@ -15,6 +15,8 @@ from inhand.geometry.se3 import check_rigid
 
 DEPTH_UNIT = 1e-4
 """Metres per count of a frame file's `depth`."""
+PIXEL_CENTRE = 0.5
+"""Where the file's `K` puts the centre of the first pixel, which lies at 0 everywhere else."""
 
 _KEYS = (
     "obj",
@@ -33,9 +35,9 @@ _KEYS = (
 def read_npz(path: Path, name: str) -> Frame:
     """Read one frame, which is to be called `name`.
 
-    The file holds `obj`, `depth` (uint16, 0.1 mm, 0 = no reading), `K` (3, 3),
-    `T_camera_hand_given`, and the truth: `T_camera_hand`, `T_camera_object`, `q` [rad] and
-    `joints` (their names), `label` and `visib`.
+    The file holds `obj`, `depth` (uint16, 0.1 mm, 0 = no reading), `K` (3, 3) of pixels centred at
+    half-integer coordinates, `T_camera_hand_given`, and the truth: `T_camera_hand`,
+    `T_camera_object`, `q` [rad] and `joints` (their names), `label` and `visib`.
 
     Raises:
         InputError: the file is missing, cut short, or its fields are missing or do not fit each
@@ -86,11 +88,14 @@ def _frame(name: str, fields: dict[str, NDArray[Any]]) -> Frame:
     if not 0.0 <= visible_share <= 1.0:
         raise InputError(f"visib must be a share from 0 to 1, got {visible_share}")
     height, width = depth.shape
+    K = np.array(fields["K"], dtype=np.float64)
+    if K.shape == (3, 3):
+        K[:2, 2] -= PIXEL_CENTRE
     return Frame(
         name=name,
         object_name=str(fields["obj"]),
         depth=depth.astype(np.float32) * np.float32(DEPTH_UNIT),
-        camera=Camera.from_matrix(fields["K"], width=width, height=height, depth_unit=DEPTH_UNIT),
+        camera=Camera.from_matrix(K, width=width, height=height, depth_unit=DEPTH_UNIT),
         wrist=check_rigid(fields["T_camera_hand_given"], "T_camera_hand_given"),
         truth=Truth(
             wrist=check_rigid(fields["T_camera_hand"], "T_camera_hand"),

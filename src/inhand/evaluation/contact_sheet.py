@@ -1,6 +1,7 @@
 """A picture of the frames that went worst, with truth and estimate drawn in."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from inhand.camera import Camera
 from inhand.datasets.frames import LABEL_HAND, LABEL_OBJECT, read_frame
 from inhand.evaluation.results import FrameResult
+from inhand.evaluation.summary import is_solved
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
@@ -33,6 +35,17 @@ def worst_frames(results: Iterable[FrameResult], count: int) -> list[FrameResult
     """The frames with the largest ADI, those without an answer first; failures left out."""
     scored = [r for r in results if r.outcome in ("answer", "no answer")]
     return sorted(scored, key=lambda r: (-(math.inf if r.adi is None else r.adi), r.frame))[:count]
+
+
+def hardest_solved(results: Iterable[FrameResult], count: int) -> list[FrameResult]:
+    """Solved frames with the least of the object visible, every object in turn."""
+    solved = sorted((r for r in results if is_solved(r)), key=lambda r: r.visible_share or 0.0)
+    turn: Counter[str] = Counter()
+    ranked = []
+    for r in solved:
+        ranked.append((turn[r.object_name], r.visible_share or 0.0, r.frame, r))
+        turn[r.object_name] += 1
+    return [r for *_, r in sorted(ranked, key=lambda entry: entry[:3])[:count]]
 
 
 class ContactSheet:

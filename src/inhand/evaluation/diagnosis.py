@@ -76,21 +76,26 @@ def segment_quality(results: StageResults, frame: Frame) -> SegmentQuality | Non
     """
     if results.observation is None or results.segment is None:
         return None
-    visible = _shows_object(results.observation.points, frame).sum()
-    weight = np.asarray(results.segment.weight, dtype=np.float64)
-    right = weight[_shows_object(results.segment.points, frame)].sum()
-    if visible == 0:
+    # By pixel, since a segment may be denser than the scene cloud.
+    v, u = _pixels(results.segment.points, frame)
+    weight = np.zeros(frame.truth.label.shape)
+    weight[v, u] = results.segment.weight
+    is_object = frame.truth.label == LABEL_OBJECT
+    v, u = _pixels(results.observation.points, frame)
+    found = weight[v, u][is_object[v, u]]
+    if len(found) == 0:
         return None
-    return SegmentQuality(float(right / max(weight.sum(), 1e-9)), float(right / visible))
+    return SegmentQuality(
+        precision=float(weight[is_object].sum() / max(weight.sum(), 1e-9)),
+        recall=float(found.mean()),
+    )
 
 
-def _shows_object(points: NDArray[np.floating], frame: Frame) -> NDArray[np.bool_]:
-    """Whether the pixel of each point [m], camera frame, shape (n, 3), shows the object."""
-    camera = frame.camera
-    u, v = np.rint(camera.project(np.asarray(points, dtype=np.float64))).astype(int).T
-    inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-    u, v = np.where(inside, u, 0), np.where(inside, v, 0)
-    return np.asarray(inside & (frame.truth.label[v, u] == LABEL_OBJECT))
+def _pixels(points: NDArray[np.floating], frame: Frame) -> tuple[NDArray[np.int_], ...]:
+    """Rows and columns of the pixels that points [m], camera frame, shape (n, 3), fall on."""
+    height, width = frame.truth.label.shape
+    u, v = np.rint(frame.camera.project(np.asarray(points, dtype=np.float64))).astype(int).T
+    return v.clip(0, height - 1), u.clip(0, width - 1)
 
 
 def stage_to_blame(

@@ -1,174 +1,48 @@
-"""Summary of benchmark results: as JSON values, and as tables on the terminal."""
+"""What benchmark results say, as tables: of one method, and of several beside each other."""
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
-import numpy as np
 from rich.console import Console
-from rich.table import Table
 
-from inhand.evaluation.diagnosis import POSE_STAGES, SOLVED, STAGES, is_good
-from inhand.evaluation.results import JOINT_PIXELS, FrameResult
-from inhand.evaluation.statistics import auroc, wilson_interval
+from inhand.evaluation import tables
+from inhand.evaluation.results import JOINT_PIXELS
+from inhand.evaluation.statistics import Estimate, mean
+from inhand.evaluation.study import UNITS, by_quantity
+from inhand.evaluation.summary import (
+    AREA_LIMIT,
+    THRESHOLDS,
+    VISIBLE_BINS,
+    Results,
+    Summary,
+    is_solved,
+    solved_share,
+)
+from inhand.evaluation.tables import Best, Table
 
-THRESHOLDS = {"2 mm": 0.002, "5 mm": 0.005, "10 mm": 0.010}
-"""ADI thresholds of the recall [m]."""
-VISIBLE_BINS = {"< 10 %": 0.10, "10-30 %": 0.30, "30-60 %": 0.60, "> 60 %": math.inf}
-"""Upper ends of the bins of the object's visible share."""
+NOTHING = "-"
+"""Stands where there is no number."""
 
-Summary = dict[str, Any]
+_DEGREE = math.degrees(1)
 
-
-def summarise(results: Iterable[FrameResult]) -> Summary:
-    """Everything the report tells, as JSON values; lengths [m], angles [rad], times [s].
-
-    Frames without an answer and frames the estimator failed on count as missed; files that could
-    not be read are counted apart. Shares carry a 95 % confidence interval (Wilson).
-    """
-    every = sorted(results, key=lambda r: r.frame)
-    scored = [r for r in every if r.outcome != "unreadable"]
-    outcomes = Counter(r.outcome for r in every)
-    return {
-        "frames": {k: outcomes[k] for k in ("answer", "no answer", "error", "unreadable")},
-        "recall": {
-            "all": _recall(scored),
-            "set": _by(scored, lambda r: r.frame.rsplit("/", 1)[0]),
-            "object": _by(scored, lambda r: r.object_name),
-            "visible share": _by(scored, _visible_bin, list(VISIBLE_BINS)),
-        },
-        "top3_recall": _share(
-            [any(adi < SOLVED for adi in r.candidates_adi) for r in scored if r.candidates_adi],
-            len(scored),
-        ),
-        "confidence_auroc": _confidence_auroc(scored),
-        "pose_error": {
-            "translation": _spread(r.translation_error for r in scored),
-            "rotation": _spread(r.rotation_error for r in scored),
-        },
-        "finger_error": _finger_errors(scored),
-        "wrist_error": _wrist_errors(scored),
-        "segment": {
-            "precision": _spread(r.segment[0] for r in scored if r.segment),
-            "recall": _spread(r.segment[1] for r in scored if r.segment),
-        },
-        "stages": _stages(scored),
-        "time": _times(scored),
-        "peak_memory": max((r.peak_memory for r in every if r.peak_memory), default=None),
-        "failures": [
-            {"frame": r.frame, "outcome": r.outcome, "reason": r.reason}
-            for r in every
-            if r.outcome != "answer"
-        ],
-    }
-
-
-def _share(hits: Sequence[bool], frames: int) -> dict[str, Any]:
-    """A share of frames; frames that have no entry in `hits` are misses."""
-    low, high = wilson_interval(sum(hits), frames)
-    share = sum(hits) / frames if frames else None
-    return {"share": share, "low": low, "high": high, "frames": frames}
-
-
-def _recall(results: Sequence[FrameResult]) -> dict[str, dict[str, Any]]:
-    adi = [r.adi for r in results if r.adi is not None]
-    return {k: _share([a < limit for a in adi], len(results)) for k, limit in THRESHOLDS.items()}
-
-
-def _by(
-    results: Sequence[FrameResult],
-    group: Callable[[FrameResult], str],
-    order: Sequence[str] | None = None,
-) -> dict[str, dict[str, dict[str, Any]]]:
-    """Recall of every group."""
-    names = order or sorted({group(r) for r in results})
-    groups = {name: [r for r in results if group(r) == name] for name in names}
-    return {name: _recall(members) for name, members in groups.items() if members}
-
-
-def _visible_bin(result: FrameResult) -> str:
-    share = result.visible_share or 0.0
-    return next(name for name, upper in VISIBLE_BINS.items() if share < upper)
-
-
-def _spread(values: Iterable[float | None]) -> dict[str, Any]:
-    """Median and 95th percentile of the values that are there."""
-    known = [v for v in values if v is not None]
-    if not known:
-        return {"median": None, "p95": None, "count": 0}
-    return {
-        "median": float(np.median(known)),
-        "p95": float(np.percentile(known, 95)),
-        "count": len(known),
-    }
-
-
-def _confidence_auroc(results: Sequence[FrameResult]) -> float | None:
-    """Over the frames with an answer."""
-    answers = [(r.confidence, r.adi < SOLVED) for r in results if r.adi is not None]
-    return auroc([a[0] for a in answers], [a[1] for a in answers])
-
-
-def _finger_errors(results: Sequence[FrameResult]) -> dict[str, dict[str, Any]]:
-    names = sorted({name for r in results for name in r.joint_errors})
-    visible = [r.visible_joint_errors for r in results]
-    return {
-        "all": _spread(error for errors in visible for error in errors.values()),
-        **{name: _spread(errors.get(name) for errors in visible) for name in names},
-    }
-
-
-def _wrist_errors(results: Sequence[FrameResult]) -> dict[str, dict[str, Any]]:
-    stages = ("given", "wrist", "hand_state", "answer")
-    found = {s: [r.wrist_errors[s] for r in results if s in r.wrist_errors] for s in stages}
-    return {
-        stage: {
-            "translation": _spread(error[0] for error in errors),
-            "rotation": _spread(error[1] for error in errors),
-        }
-        for stage, errors in found.items()
-    }
-
-
-def _stages(results: Sequence[FrameResult]) -> dict[str, dict[str, Any]]:
-    """By stage: the share of frames with a good pose behind it, and how many frames it lost."""
-    lost = Counter(r.lost_at for r in results)
-    table = {}
-    for stage in (*STAGES, "error"):
-        alive = None
-        if stage in POSE_STAGES:
-            alive = _share([is_good(stage, r.best_adi.get(stage)) for r in results], len(results))
-        if alive or lost[stage]:
-            table[stage] = {"alive": alive, "lost": lost[stage]}
-    return table
-
-
-def _times(results: Sequence[FrameResult]) -> dict[str, dict[str, Any]]:
-    stages = dict.fromkeys(stage for r in results for stage in r.timings)
-    return {
-        **{stage: _spread(r.timings.get(stage) for r in results) for stage in stages},
-        "whole estimate": _spread(r.seconds for r in results),
-    }
+Summaries = Mapping[str, Summary]
+"""Summaries by method."""
 
 
 def print_summary(summary: Summary, console: Console) -> None:
-    """Print the summary as tables."""
-    for table in (
-        _recall_table(summary["recall"]),
-        _hand_table(summary),
-        _stage_table(summary["stages"]),
-        _time_table(summary["time"]),
-    ):
-        if table.row_count:
-            console.print(table)
-    top3, area = summary["top3_recall"], summary["confidence_auroc"]
-    memory = summary["peak_memory"]
-    console.print(f"Best of the first 3 candidates, ADI < 5 mm: {_percent(top3)}")
-    console.print(f"AUROC of the confidence: {'-' if area is None else f'{area:.2f}'}")
-    console.print(f"Peak memory: {'-' if memory is None else f'{memory / 2**30:.2f} GiB'}")
-    counts = ", ".join(f"{n} {name}" for name, n in summary["frames"].items() if n)
-    console.print(f"Frames: {counts or 'none'}")
+    """Print the summary of one method as tables."""
+    for table in method_tables(summary):
+        console.print(tables.terminal(table))
+    area, memory = summary["confidence"]["auroc"]["value"], summary["peak_memory"]
+    console.print(
+        f"Best of the first 3 candidates, ADI < 5 mm: {_percent(summary['top3_recall'], 0)} %\n"
+        f"AUROC of the confidence: {_number(area, 1, 2)}\n"
+        f"Peak memory: {_number(memory, 2**-30, 2, ' GiB')}\n"
+        f"Frames: {_outcomes(summary)}"
+    )
     for failure in summary["failures"]:
         if failure["outcome"] != "no answer":
             console.print(
@@ -177,65 +51,349 @@ def print_summary(summary: Summary, console: Console) -> None:
             console.print(failure["reason"], markup=False, highlight=False)
 
 
-def _percent(share: Mapping[str, Any]) -> str:
-    if share["share"] is None:
-        return "-"
-    low, high = 100 * share["low"], 100 * share["high"]
-    return f"{share['share']:.0%} ({low:.0f}-{high:.0f})"
+def print_comparison(summaries: Summaries, console: Console) -> None:
+    """Print one line for each method."""
+    console.print(tables.terminal(overview_table(summaries)))
+
+
+def method_tables(summary: Summary) -> list[Table]:
+    """The tables of one method that have any rows."""
+    found = (
+        _recall_table(summary["recall"]),
+        _error_table(summary),
+        stage_table(summary["stages"]),
+        _time_table(summary["time"]),
+    )
+    return [table for table in found if table.rows]
 
 
 def _recall_table(recall: Mapping[str, Any]) -> Table:
-    table = Table("", "frames", *(f"ADI < {t}" for t in THRESHOLDS), title="Recall (95 % interval)")
+    rows, ends = [], set()
 
-    def add(name: str, shares: Mapping[str, Any], end_section: bool = False) -> None:
+    def add(name: str, shares: Mapping[str, Any]) -> None:
         frames = str(shares["5 mm"]["frames"])
-        table.add_row(
-            name, frames, *(_percent(shares[t]) for t in THRESHOLDS), end_section=end_section
-        )
+        rows.append((name, frames, *(_percent(shares[t], 0) for t in THRESHOLDS)))
 
-    add("all frames", recall["all"], end_section=True)
+    add("all frames", recall["all"])
     for group in ("set", "object", "visible share"):
-        members = recall[group]
-        for name, shares in members.items():
-            label = f"{name} visible" if group == "visible share" else name
-            add(label, shares, end_section=name == list(members)[-1])
-    return table
+        ends.add(len(rows) - 1)
+        for name, shares in recall[group].items():
+            add(f"{name} visible" if group == "visible share" else name, shares)
+    columns = ("", "frames", *(f"ADI < {t}" for t in THRESHOLDS))
+    return Table("Recall [%] (95 % interval)", columns, tuple(rows), section_ends=frozenset(ends))
 
 
-def _hand_table(summary: Summary) -> Table:
-    table = Table("", "count", "median", "95 %", title="Errors")
+def _error_table(summary: Summary) -> Table:
+    rows = []
 
     def add(name: str, spread: Mapping[str, Any], scale: float, unit: str) -> None:
         if spread["count"]:
-            median, p95 = spread["median"] * scale, spread["p95"] * scale
-            row = (str(spread["count"]), f"{median:.1f} {unit}", f"{p95:.1f} {unit}")
-            table.add_row(name, *row)
+            numbers = (_number(spread[k], scale, 1, unit) for k in ("median", "p95"))
+            rows.append((name, str(spread["count"]), *numbers))
 
-    degrees = math.degrees(1)
     for name, spread in summary["finger_error"].items():
         label = f"joint angles (> {JOINT_PIXELS} pixels)" if name == "all" else f"  {name}"
-        add(label, spread, degrees, "deg")
+        add(label, spread, _DEGREE, " deg")
     for stage, errors in summary["wrist_error"].items():
-        add(f"wrist position, {stage}", errors["translation"], 1000, "mm")
-        add(f"wrist rotation, {stage}", errors["rotation"], degrees, "deg")
-    add("object position", summary["pose_error"]["translation"], 1000, "mm")
-    add("object rotation", summary["pose_error"]["rotation"], degrees, "deg")
-    add("segment precision", summary["segment"]["precision"], 100, "%")
-    add("segment recall", summary["segment"]["recall"], 100, "%")
-    return table
+        add(f"wrist position, {stage}", errors["translation"], 1000, " mm")
+        add(f"wrist rotation, {stage}", errors["rotation"], _DEGREE, " deg")
+    add("object ADI", summary["pose_error"]["adi"], 1000, " mm")
+    add("object position", summary["pose_error"]["translation"], 1000, " mm")
+    add("object rotation", summary["pose_error"]["rotation"], _DEGREE, " deg")
+    add("segment precision", summary["segment"]["precision"], 100, " %")
+    add("segment recall", summary["segment"]["recall"], 100, " %")
+    return Table("Errors", ("", "count", "median", "95 %"), tuple(rows))
 
 
-def _stage_table(stages: Mapping[str, Any]) -> Table:
-    table = Table("stage", "frames with a good pose", "frames lost here", title="Stages")
-    for stage, row in stages.items():
-        table.add_row(stage, _percent(row["alive"]) if row["alive"] else "", str(row["lost"] or ""))
-    return table
+def stage_table(stages: Mapping[str, Any]) -> Table:
+    """The share of frames with a good pose behind every stage, and what each lost."""
+    rows = tuple(
+        (stage, _percent(row["alive"], 0) if row["alive"] else "", str(row["lost"] or ""))
+        for stage, row in stages.items()
+    )
+    return Table("Stages", ("stage", "good pose [%]", "frames lost here"), rows)
 
 
 def _time_table(times: Mapping[str, Any]) -> Table:
-    table = Table("stage", "median", "95 %", title="Time")
-    for stage, spread in times.items():
-        if spread["count"]:
-            row = (f"{spread['median'] * 1000:.1f} ms", f"{spread['p95'] * 1000:.1f} ms")
-            table.add_row(stage, *row)
-    return table
+    numbers = ("mean", "deviation", "median", "p95", "p99")
+    rows = tuple(
+        (stage, *(_number(spread[k], 1000, 1, " ms") for k in numbers))
+        for stage, spread in times.items()
+        if spread["count"]
+    )
+    return Table("Time", ("stage", "mean", "deviation", "median", "95 %", "99 %"), rows)
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of a comparison: what it shows of a method."""
+
+    head: str
+    cell: Callable[[Summary], str]
+    rank: Callable[[Summary], float | None] = lambda _: None
+    """The method with the highest number stands out."""
+
+
+def _compare(title: str, summaries: Summaries, columns: Sequence[_Column], note: str = "") -> Table:
+    """One row a method; the best cell of a column stands out."""
+    rows = [[name, *(c.cell(s) for c in columns)] for name, s in summaries.items()]
+    for i, column in enumerate(columns, start=1):
+        ranks = [column.rank(s) for s in summaries.values()]
+        known = [r for r in ranks if r is not None]
+        for row, rank in zip(rows, ranks, strict=True):
+            if len(known) > 1 and rank == max(known) > min(known):
+                row[i] = Best(row[i])
+    heads = ("method", *(c.head for c in columns))
+    return Table(title, heads, tuple(map(tuple, rows)), note)
+
+
+def _at(*keys: str) -> Callable[[Summary], Any]:
+    """What a summary holds under these keys, one in the other; None where there is nothing."""
+
+    def find(summary: Summary) -> Any:
+        value: Any = summary
+        for key in keys:
+            value = None if value is None else value.get(key)
+        return value
+
+    return find
+
+
+def _share_column(head: str, *keys: str) -> _Column:
+    """A share and its interval."""
+    find = _at(*keys)
+    return _Column(head, lambda s: _percent(find(s)), _at(*keys, "share"))
+
+
+def _mean_column(head: str, *keys: str, scale: float = 100, decimals: int = 1) -> _Column:
+    """A mean, or a statistic such, and its interval."""
+    find = _at(*keys)
+    return _Column(
+        head, lambda s: _interval(Estimate(**find(s)), scale, decimals), _at(*keys, "value")
+    )
+
+
+def _error_column(head: str, *keys: str, scale: float = 1, decimals: int = 1) -> _Column:
+    """A number of which the smallest is the best."""
+    find = _at(*keys)
+    return _Column(
+        head,
+        lambda s: _number(find(s), scale, decimals),
+        lambda s: None if find(s) is None else -find(s),
+    )
+
+
+def _count_column(head: str, *keys: str) -> _Column:
+    find = _at(*keys)
+    return _Column(head, lambda s: str(find(s)))
+
+
+_IN_PERCENT = "In %, with the 95 % interval in brackets."
+
+
+def overview_table(summaries: Summaries) -> Table:
+    """Recall at every threshold, the area under its curve, and time."""
+    columns = [
+        _count_column("frames", "recall", "all", "5 mm", "frames"),
+        *(_share_column(f"ADI < {t}", "recall", "all", t) for t in THRESHOLDS),
+        _mean_column("area", "measures", "area", "frames"),
+        _error_column(
+            "median time [ms]", "time", "whole estimate", "median", scale=1000, decimals=0
+        ),
+    ]
+    note = f"{_IN_PERCENT} Area: under the recall curve up to {AREA_LIMIT * 1000:.0f} mm."
+    return _compare("Methods", summaries, columns, note)
+
+
+def object_table(summaries: Summaries) -> Table:
+    """Recall at 5 mm by object, with the mean over objects and over frames."""
+    names = sorted({name for s in summaries.values() for name in s["recall"]["object"]})
+    columns = [
+        *(_share_column(name, "recall", "object", name, "5 mm") for name in names),
+        _mean_column("mean of objects", "measures", "recall", "objects"),
+        _mean_column("mean of frames", "measures", "recall", "frames"),
+    ]
+    return _compare("Recall by object (ADI < 5 mm)", summaries, columns, _IN_PERCENT)
+
+
+def visible_table(summaries: Summaries) -> Table:
+    """Recall at 5 mm by the visible share of the object."""
+    found = {name for s in summaries.values() for name in s["recall"]["visible share"]}
+    columns = [
+        _share_column(f"{name} visible", "recall", "visible share", name, "5 mm")
+        for name in VISIBLE_BINS
+        if name in found
+    ]
+    return _compare("Recall by visible share (ADI < 5 mm)", summaries, columns, _IN_PERCENT)
+
+
+def measure_table(summaries: Summaries) -> Table:
+    """The other measures in use beside the paper's."""
+    heads = {
+        "recall": "ADI < 5 mm",
+        "recall from truth": "ADI from truth < 5 mm",
+        "recall ADD": "ADD < 5 mm",
+        "VSD": "AR VSD",
+        "MSSD": "AR MSSD",
+        "MSPD": "AR MSPD",
+        "BOP": "AR (BOP)",
+    }
+    columns = [
+        *(_mean_column(head, "measures", name, "frames") for name, head in heads.items()),
+        _error_column("median ADI [mm]", "pose_error", "adi", "median", scale=1000),
+    ]
+    note = f"{_IN_PERCENT} AR: BOP's average recall. The median is that of the answers."
+    return _compare("Other measures", summaries, columns, note)
+
+
+def time_table(summaries: Summaries) -> Table:
+    """How long a frame takes."""
+    numbers = {"mean": "mean", "deviation": "deviation", "median": "median"}
+    numbers |= {"p95": "95 %", "p99": "99 %"}
+    columns = [
+        *(
+            _error_column(head, "time", "whole estimate", key, scale=1000)
+            for key, head in numbers.items()
+        ),
+        _error_column("peak memory [GiB]", "peak_memory", scale=2**-30, decimals=2),
+    ]
+    note = (
+        "In ms. The memory is that of the whole process, with the scoring and all methods that "
+        "ran in it before."
+    )
+    return _compare("Time of a frame", summaries, columns, note)
+
+
+def stage_time_table(summaries: Summaries) -> Table:
+    """How long every stage takes: mean and deviation."""
+    stages = dict.fromkeys(stage for s in summaries.values() for stage in s["time"])
+    stages["whole estimate"] = stages.pop("whole estimate", None)
+
+    def cell(stage: str) -> Callable[[Summary], str]:
+        find = _at("time", stage)
+
+        def text(summary: Summary) -> str:
+            spread = find(summary)
+            if spread is None or not spread["count"]:
+                return NOTHING
+            return " ± ".join(_number(spread[k], 1000, 1) for k in ("mean", "deviation"))
+
+        return text
+
+    columns = [_Column(stage, cell(stage)) for stage in stages]
+    return _compare("Time by stage", summaries, columns, "Mean ± standard deviation in ms.")
+
+
+def hand_table(summaries: Summaries) -> Table:
+    """Errors of the hand's state, of the methods that estimate it."""
+    quantities = {
+        "joint angle [deg]": (("finger_error", "all"), _DEGREE),
+        "given wrist [mm]": (("wrist_error", "given", "translation"), 1000),
+        "wrist [mm]": (("wrist_error", "answer", "translation"), 1000),
+        "given wrist [deg]": (("wrist_error", "given", "rotation"), _DEGREE),
+        "wrist [deg]": (("wrist_error", "answer", "rotation"), _DEGREE),
+    }
+    columns = [
+        _error_column(f"{name}, {head}", *keys, key, scale=scale)
+        for name, (keys, scale) in quantities.items()
+        for key, head in (("median", "median"), ("p95", "95 %"))
+    ]
+    estimated = {n: s for n, s in summaries.items() if s["finger_error"]["all"]["count"]}
+    note = f"Joints whose link shows more than {JOINT_PIXELS} pixels."
+    return _compare("Hand state", estimated, columns, note)
+
+
+def confidence_table(summaries: Summaries) -> Table:
+    """How much the confidence is worth."""
+    columns = [
+        _mean_column("AUROC", "confidence", "auroc", scale=1, decimals=2),
+        _error_column("calibration error", "confidence", "calibration_error", decimals=2),
+        _share_column("ADI < 5 mm, first answer", "recall", "all", "5 mm"),
+        _share_column("best of the first 3", "top3_recall"),
+    ]
+    note = (
+        "AUROC: chance that a right answer (ADI < 5 mm) has a higher confidence than a wrong one. "
+        "Calibration error: mean gap between the confidence and the share of right answers."
+    )
+    sure = {n: s for n, s in summaries.items() if s["confidence"]["auroc"]["value"] is not None}
+    return _compare("Confidence", sure, columns, note)
+
+
+def outcome_table(summaries: Summaries) -> Table:
+    """What became of the frames."""
+    names = ("answer", "no answer", "error", "unreadable")
+    columns = [_count_column(name, "frames", name) for name in names]
+    note = (
+        "Frames without an answer and frames that a method failed on count as misses; files that "
+        "could not be read are left out of every share."
+    )
+    return _compare("Frames", summaries, columns, note)
+
+
+def difference_table(results: Results, reference: str) -> Table:
+    """How much worse or better than one method the others are, on the frames both ran on."""
+    solved = {method: {r.frame: is_solved(r) for r in of} for method, of in results.items()}
+    base, rows = solved[reference], []
+    for method, hits in solved.items():
+        common = [frame for frame in hits if frame in base]
+        if method == reference or not common:
+            continue
+        gain = mean([float(hits[f]) - base[f] for f in common])
+        only_base = sum(base[f] and not hits[f] for f in common)
+        only_method = sum(hits[f] and not base[f] for f in common)
+        numbers = map(str, (len(common), only_base, only_method))
+        rows.append((method, *numbers, _interval(gain)))
+    columns = ("method", "frames", f"only {reference} right", "only this one right")
+    note = (
+        "Difference in points of recall, with its 95 % interval (bootstrap over the frames that "
+        "both ran on): an interval without 0 is a difference that is not chance."
+    )
+    title = f"Difference to {reference} (ADI < 5 mm)"
+    return Table(title, (*columns, "difference"), tuple(rows), note)
+
+
+def ablation_table(steps: Summaries) -> Table:
+    """Recall at 5 mm step by step."""
+    shares = [s["recall"]["all"]["5 mm"] for s in steps.values()]
+    gains = [100 * (after["share"] - before["share"]) for before, after in pairwise(shares)]
+    rows = tuple(
+        (f"+ {name}" if i else name, _percent(shares[i]), f"{gains[i - 1]:+.1f}" if i else "")
+        for i, name in enumerate(steps)
+    )
+    return Table("Ablation (ADI < 5 mm)", ("step", "recall", "gain [points]"), rows, _IN_PERCENT)
+
+
+def perturbation_table(perturbed: Results) -> Table:
+    """Recall at 5 mm by what the methods were handicapped by."""
+    rows = []
+    for quantity, methods in by_quantity(perturbed).items():
+        unit, scale = UNITS.get(quantity, ("", 1.0))
+        for method, amounts in methods.items():
+            for amount, results in amounts.items():
+                share = solved_share(results)
+                handicap = f"{quantity} {amount * scale:.3g} {unit}".rstrip()
+                rows.append((method, handicap, str(share["frames"]), _percent(share)))
+    columns = ("method", "perturbation", "frames", "recall")
+    return Table("Recall by perturbation (ADI < 5 mm)", columns, tuple(rows), _IN_PERCENT)
+
+
+def _percent(share: Mapping[str, Any] | None, decimals: int = 1) -> str:
+    if share is None:
+        return NOTHING
+    estimate = Estimate(share["share"], share["low"], share["high"])
+    return _interval(estimate, decimals=decimals)
+
+
+def _interval(estimate: Estimate, scale: float = 100, decimals: int = 1) -> str:
+    if estimate.value is None:
+        return NOTHING
+    value, low, high = (_number(x, scale, decimals) for x in estimate)
+    return f"{value} ({low}-{high})"
+
+
+def _number(value: float | None, scale: float, decimals: int, unit: str = "") -> str:
+    return NOTHING if value is None else f"{value * scale:.{decimals}f}{unit}"
+
+
+def _outcomes(summary: Summary) -> str:
+    return ", ".join(f"{n} {name}" for name, n in summary["frames"].items() if n) or "none"

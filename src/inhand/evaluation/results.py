@@ -17,20 +17,24 @@ Outcome = Literal["answer", "no answer", "error", "unreadable"]
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What the estimator did on one frame, and how good it was. Lengths [m], angles [rad]."""
+    """What a method did on one frame, and how good it was. Lengths [m], angles [rad]."""
 
     frame: str
     """Name of the frame."""
     file: str
     """Where it was read from."""
     outcome: Outcome
-    """`error`: the estimator failed; `unreadable`: the file could not be read."""
+    """`error`: the method failed; `unreadable`: the file could not be read."""
     reason: str = ""
     """Why there is no answer."""
     object_name: str = ""
     """Name of the object."""
     visible_share: float | None = None
     """Visible share of the object's silhouette."""
+    method: str = "inhand"
+    """Name of the method."""
+    perturbation: dict[str, float] = field(default_factory=dict)
+    """What the method was handicapped by, by name [m, rad]; empty for most."""
     T_camera_object: list[list[float]] | None = None
     """Estimated object pose."""
     T_camera_hand: list[list[float]] | None = None

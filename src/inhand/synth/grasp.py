@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from inhand.errors import InputError
 from inhand.geometry import se3
-from inhand.hand import Finger, Hand
+from inhand.hand import Finger, Hand, Link
 from inhand.kernels.depth import bounding_sphere
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.launch import launch
@@ -65,7 +65,7 @@ class GraspSampler:
         self.hand = hand
         self.obj = obj
         self._device = device
-        bodies = [*hand.links, obj]
+        bodies: list[Link | ObjectModel] = [*hand.links, obj]
         self._object = len(hand.links)
         self._fields = pack_fields([body.distance_field for body in bodies], device)
         spheres = [bounding_sphere(body.mesh) for body in bodies]

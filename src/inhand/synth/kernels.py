@@ -96,7 +96,9 @@ def point_at(camera: Pinhole, depth: wp.array2d(dtype=float), v: int, u: int):
     z = float(0.0)
     if u >= 0 and v >= 0 and u < camera.width and v < camera.height:
         z = depth[v, u]
-    return wp.vec3(z * (float(u) - camera.cx) / camera.fx, z * (float(v) - camera.cy) / camera.fy, z)
+    return wp.vec3(
+        z * (float(u) - camera.cx) / camera.fx, z * (float(v) - camera.cy) / camera.fy, z
+    )
 
 
 @wp.func

@@ -159,9 +159,7 @@ class SceneMaker:
         self._renderer = SceneRenderer(hand, obj, device)
         self._viewpoints = viewpoints(protocol.distance)
 
-    def make(
-        self, rng: np.random.Generator, visible: tuple[float, float] | None = None
-    ) -> Scene:
+    def make(self, rng: np.random.Generator, visible: tuple[float, float] | None = None) -> Scene:
         """A random scene; the same state of `rng` gives the same scene.
 
         Args:
@@ -313,9 +311,7 @@ def viewpoints(distance: tuple[float, float]) -> Array:
     return np.asarray((radii[:, None, None] * directions).reshape(-1, 3))
 
 
-def _fits(
-    images: Images, silhouette: int, visible: tuple[float, float], min_pixels: float
-) -> bool:
+def _fits(images: Images, silhouette: int, visible: tuple[float, float], min_pixels: float) -> bool:
     """Whether enough of the object, and not too much, is to be seen, and nothing is too close."""
     shown = images.object_pixels
     if shown < min_pixels or not visible[0] <= shown / silhouette <= visible[1]:

@@ -1,0 +1,311 @@
+"""What stands in a report: its sections, with their tables and figures."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import degrees
+
+from inhand.evaluation import figures, report
+from inhand.evaluation.figures import Figures
+from inhand.evaluation.study import ABLATION, Study
+from inhand.evaluation.summary import Results, Summary, summarise
+from inhand.evaluation.tables import Table
+
+LISTED_FAILURES = 50
+"""Frames that could not be read or that a method failed on, at most this many are named."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """A table or a figure."""
+
+    name: str
+    """Name for files and links."""
+    caption: str
+    """What it shows."""
+    content: Table | str
+    """The table, or the figure as SVG."""
+    runs: frozenset[int]
+    """Which of the study's records it was made from."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Tables and figures on one question."""
+
+    title: str
+    """The question."""
+    text: str
+    """What to know before reading them."""
+    items: tuple[Item, ...]
+    """The tables and figures."""
+
+
+Panels = Mapping[str, Mapping[str, Summary]]
+"""Summaries by data set and method."""
+
+
+class Contents:
+    """Makes the sections of a report.
+
+    Args:
+        study: the results.
+        reference: the method that the others are compared with.
+    """
+
+    def __init__(self, study: Study, reference: str) -> None:
+        self._study = study
+        self._reference = reference
+        self._figures = Figures(
+            [*(m for m in study.by_method if not m.startswith(ABLATION)), *study.perturbed]
+        )
+
+    @cached_property
+    def _summaries(self) -> Panels:
+        return self._summarised(lambda name: self._study.results(name))
+
+    @cached_property
+    def _pooled(self) -> dict[str, Summary]:
+        """Summaries by method, of all data sets together."""
+        return {
+            method: summarise(results)
+            for method, results in self._study.by_method.items()
+            if not method.startswith(ABLATION)
+        }
+
+    def _summarised(self, results: Callable[[str], Results]) -> Panels:
+        found = {
+            name: {method: summarise(of) for method, of in results(name).items()}
+            for name in self._study.data_sets
+        }
+        return {name: summaries for name, summaries in found.items() if summaries}
+
+    def sections(self) -> list[Section]:
+        """The sections that have something to show."""
+        found = (
+            self._overview(),
+            self._objects(),
+            self._visible(),
+            self._ablation(),
+            self._perturbations(),
+            self._times(),
+            self._hand(),
+            self._confidence(),
+            self._measures(),
+            self._stages(),
+            self._frames(),
+        )
+        return [section for section in found if section.items]
+
+    def _overview(self) -> Section:
+        panels = {name: self._study.results(name) for name in self._summaries}
+        items = self._per_set("overview", self._summaries, report.overview_table)
+        if panels:
+            items += [
+                self._figure(
+                    "recall-curves",
+                    "Recall over the ADI threshold. The grey line is the paper's threshold, 5 mm.",
+                    self._figures.recall_curves(panels),
+                    self._pooled,
+                ),
+                self._figure(
+                    "recall-against-time",
+                    "Recall over the median time of a frame: up and left is better.",
+                    self._figures.recall_against_time(self._summaries),
+                    self._pooled,
+                ),
+            ]
+        for name, results in panels.items():
+            if self._reference in results and len(results) > 1:
+                table = report.difference_table(results, self._reference)
+                items.append(self._table(f"difference-{name}", name, table, results))
+        return Section("Methods", "", tuple(items))
+
+    def _objects(self) -> Section:
+        items = self._per_set("objects", self._summaries, report.object_table)
+        return Section("Objects", "", tuple(items))
+
+    def _visible(self) -> Section:
+        seen = _where(self._summaries, lambda s: s["recall"]["visible share"])
+        items = []
+        if seen:
+            caption = (
+                "Recall by how much of the object's silhouette is visible, with 95 % intervals."
+            )
+            svg = self._figures.visible_recall(seen)
+            items.append(self._figure("visible-share", caption, svg, self._pooled))
+        items += self._per_set("visible", seen, report.visible_table)
+        return Section("Occlusion", "", tuple(items))
+
+    def _measures(self) -> Section:
+        items = self._per_set("measures", self._summaries, report.measure_table)
+        text = (
+            "ADI is the paper's: the mean distance from the points of the model at the estimated "
+            "pose to the nearest point of the model at the true pose. The BOP toolkit goes the "
+            "other way, from the true pose's points to the estimate's; both are given. ADD is "
+            "taken to the pose that looks like the truth and is turned least from the estimate. "
+            "VSD, MSSD and MSPD, their thresholds and their average recall (AR) are BOP's, over "
+            "the symmetries of the object's model."
+        )
+        return Section("Other measures", text, tuple(items))
+
+    def _ablation(self) -> Section:
+        panels = self._summarised(lambda name: self._study.results(name, ablation=True))
+        panels = {
+            name: {method.removeprefix(ABLATION): s for method, s in steps.items()}
+            for name, steps in panels.items()
+        }
+        if not panels:
+            return Section("Ablation", "", ())
+        steps = [method for method in self._study.by_method if method.startswith(ABLATION)]
+        caption = "Recall as one part after the other is added, with 95 % intervals."
+        figure = self._figure("ablation", caption, figures.ablation_bars(panels), steps)
+        items = self._per_set("ablation", panels, report.ablation_table, steps)
+        text = "Every step keeps those before it."
+        return Section("Ablation", text, (figure, *items))
+
+    def _perturbations(self) -> Section:
+        perturbed = self._study.perturbed
+        items = []
+        for name in self._study.data_sets if perturbed else []:
+            of = self._study.perturbed_results(name)
+            plain = self._study.results(name)
+            level = {self._reference: plain[self._reference]} if self._reference in plain else {}
+            caption = (
+                f"{name}: recall of methods that were handicapped, over how much, with 95 % "
+                f"intervals; level lines: methods that were not."
+            )
+            svg = self._figures.perturbation_curves(of, level)
+            items.append(self._figure(f"perturbation-{name}", caption, svg, [*of, *level]))
+            table = report.perturbation_table(of)
+            items.append(self._table(f"perturbation-table-{name}", name, table, of))
+        return Section("Perturbed starts", "", tuple(items))
+
+    def _times(self) -> Section:
+        timed = {m: s for m, s in self._pooled.items() if s["time"]["whole estimate"]["count"]}
+        if not timed:
+            return Section("Time", "", ())
+        caption = "Mean time of every stage. Rest: what no stage accounts for."
+        everywhere = "all data sets"
+        items = (
+            self._figure("time", caption, figures.time_bars(timed), timed),
+            self._table("time-table", everywhere, report.time_table(timed), timed),
+            self._table("time-stages", everywhere, report.stage_time_table(timed), timed),
+        )
+        text = (
+            "Wall clock of one estimate. The first frame of every object is run once more before "
+            "it is timed, so that nothing is compiled or loaded in it."
+        )
+        return Section("Time", text, items)
+
+    def _hand(self) -> Section:
+        panels = _where(self._summaries, lambda s: s["finger_error"]["all"]["count"])
+        items = []
+        for name, summaries in panels.items():
+            results = {m: self._study.results(name)[m] for m in summaries}
+            svg = self._figures.error_curves(_hand_errors(results))
+            caption = f"{name}: share of joints, and of frames, whose error is below a limit."
+            items.append(self._figure(f"hand-{name}", caption, svg, results))
+        items += self._per_set("hand-table", panels, report.hand_table)
+        return Section("Hand", "", tuple(items))
+
+    def _confidence(self) -> Section:
+        sure = _where(self._summaries, lambda s: s["confidence"]["auroc"]["value"] is not None)
+        if not sure:
+            return Section("Confidence", "", ())
+        caption = (
+            "Reliability: how often answers of a confidence are right (ADI < 5 mm), with 95 % "
+            "intervals. On the grey line the confidence says just that."
+        )
+        figure = self._figure(
+            "reliability", caption, self._figures.reliability_curves(sure), self._pooled
+        )
+        items = self._per_set("confidence", sure, report.confidence_table)
+        return Section("Confidence", "", (figure, *items))
+
+    def _stages(self) -> Section:
+        items = []
+        for name, results in ((n, self._study.results(n)) for n in self._summaries):
+            staged = {m for m, of in results.items() if any(r.best_adi for r in of)}
+            for method in (m for m in results if m in staged):
+                table = report.stage_table(self._summaries[name][method]["stages"])
+                key = f"stages-{name}-{method}"
+                items.append(self._table(key, f"{name}, {method}", table, [method]))
+        text = (
+            "A frame is lost at the stage after the last one that handed on a good pose (ADI below "
+            "10 mm before refinement, 5 mm from there on)."
+        )
+        return Section("Where frames are lost", text, tuple(items))
+
+    def _frames(self) -> Section:
+        items = self._per_set("frames", self._summaries, report.outcome_table)
+        failures = [
+            (method, f["frame"], f["outcome"], f["reason"])
+            for method, summary in self._pooled.items()
+            for f in summary["failures"]
+            if f["outcome"] in ("error", "unreadable")
+        ]
+        if failures:
+            note = (
+                f"The first {LISTED_FAILURES} of {len(failures)}."
+                if failures[LISTED_FAILURES:]
+                else ""
+            )
+            columns = ("method", "frame", "outcome", "reason")
+            table = Table("Bad frames", columns, tuple(failures[:LISTED_FAILURES]), note)
+            items.append(self._table("bad-frames", "all data sets", table, self._pooled))
+        return Section("Frames", "", tuple(items))
+
+    def _per_set(
+        self,
+        key: str,
+        panels: Panels,
+        make: Callable[[Mapping[str, Summary]], Table],
+        methods: Iterable[str] | None = None,
+    ) -> list[Item]:
+        """One table a data set."""
+        return [
+            self._table(f"{key}-{name}", name, make(summaries), methods or summaries)
+            for name, summaries in panels.items()
+        ]
+
+    def _table(self, key: str, of: str, table: Table, methods: Iterable[str]) -> Item:
+        return Item(key, f"{of}: {table.title}", table, self._runs(methods))
+
+    def _figure(self, key: str, caption: str, svg: str, methods: Iterable[str]) -> Item:
+        return Item(key, caption, svg, self._runs(methods))
+
+    def _runs(self, methods: Iterable[str]) -> frozenset[int]:
+        return frozenset[int]().union(*(self._study.sources[m] for m in methods))
+
+
+def _where(panels: Panels, holds: Callable[[Summary], object]) -> Panels:
+    """The summaries for which something holds, of the data sets that have any."""
+    found = {
+        name: {method: s for method, s in summaries.items() if holds(s)}
+        for name, summaries in panels.items()
+    }
+    return {name: summaries for name, summaries in found.items() if summaries}
+
+
+def _hand_errors(results: Results) -> dict[str, dict[str, list[float]]]:
+    """Errors of the hand's state by quantity and method, the given wrist among the methods."""
+    joints, lengths, angles = {}, {}, {}
+    for method, of in results.items():
+        joints[method] = [degrees(e) for r in of for e in r.visible_joint_errors.values()]
+        found = [r.wrist_errors["answer"] for r in of if "answer" in r.wrist_errors]
+        lengths[method] = [1000 * e[0] for e in found]
+        angles[method] = [degrees(e[1]) for e in found]
+    of = next(iter(results.values()))
+    given = [r.wrist_errors["given"] for r in of if "given" in r.wrist_errors]
+    lengths["as given"] = [1000 * e[0] for e in given]
+    angles["as given"] = [degrees(e[1]) for e in given]
+    quantities = {
+        "joint angle error [deg]": joints,
+        "wrist position error [mm]": lengths,
+        "wrist rotation error [deg]": angles,
+    }
+    return {
+        quantity: {method: errors for method, errors in of_methods.items() if errors}
+        for quantity, of_methods in quantities.items()
+    }

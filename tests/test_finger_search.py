@@ -1,0 +1,118 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hand_view import seen, wrist
+from held_object import Q, built_in_hand, held_object
+
+from inhand.config import HandStateConfig
+from inhand.geometry.mesh import box
+from inhand.geometry.se3 import exp
+from inhand.stages.finger_search import FingerSearch
+from inhand.stages.observation import Observation
+
+CONFIG = HandStateConfig()
+
+
+def search_of(observation: Observation, config: HandStateConfig = CONFIG) -> FingerSearch:
+    return FingerSearch(observation, built_in_hand(), config)
+
+
+def best(search: FingerSearch, T_camera_hand: np.ndarray) -> np.ndarray:
+    """The joint vector of every finger's best configuration."""
+    q = np.zeros(4)
+    found = search.alternatives(T_camera_hand, np.random.default_rng(0))
+    for finger, configurations in zip(built_in_hand().hand.fingers, found, strict=True):
+        q[list(finger.joints)] = configurations[0]
+    return q
+
+
+def hand_pose(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Joints and wrist of a hand that shows both its fingers."""
+    rng = np.random.default_rng(seed)
+    T = wrist(rng.normal(0, 0.4, 3), 0.6, 0.1)
+    return rng.uniform([0.2, 0.1, 0.2, 0.1], [1.3, 1.2, 1.3, 1.2]), T
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_joints_of_an_empty_hand_are_found(seed: int) -> None:
+    q, T = hand_pose(seed)
+    search = search_of(seen(built_in_hand(), q, T))
+    np.testing.assert_allclose(best(search, T), q, atol=0.15)
+    assert (search.link_support(q, T) > CONFIG.certain_support).all()
+
+
+@pytest.mark.parametrize("name", ["cuboid", "industrial_part", "cylinder"])
+def test_the_joints_around_an_object_are_found(name: str) -> None:
+    scene = held_object(name)
+    T = scene.hand_state.T_camera_hand
+    np.testing.assert_allclose(best(search_of(scene.observation), T), Q, atol=0.15)
+
+
+def test_alternatives_are_few_and_possible_and_repeatable() -> None:
+    scene = held_object("cuboid")
+    hand, T = scene.hand.hand, scene.hand_state.T_camera_hand
+    search = search_of(scene.observation, replace(CONFIG, alternatives=3))
+    found, again = (search.alternatives(T, np.random.default_rng(1)) for _ in range(2))
+    assert len(found) == len(hand.fingers)
+    for finger, configurations, same in zip(hand.fingers, found, again, strict=True):
+        joints = list(finger.joints)
+        assert 1 <= len(configurations) <= 3
+        assert configurations.shape[1] == len(joints)
+        assert (configurations >= hand.lower[joints]).all()
+        assert (configurations <= hand.upper[joints]).all()
+        np.testing.assert_array_equal(configurations, same)
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+@pytest.mark.parametrize("bent", [(1.4, 0.3), (1.6, 0.8), (1.8, 0.2), (2.2, 0.1), (1.05, 0.0)])
+def test_a_finger_does_not_claim_the_readings_of_another(
+    missing: int, bent: tuple[float, float]
+) -> None:
+    """Only one finger is there, where the other one could be as well."""
+    hand = built_in_hand()
+    links = list(hand.hand.fingers[missing].links)
+    q, (_, T) = np.array([*bent, *bent]), hand_pose(1)
+    search = search_of(seen(hand, q, T, without=links))
+    found = best(search, T)
+    there = list(hand.hand.fingers[1 - missing].joints)
+    np.testing.assert_allclose(found[there], q[there], atol=0.15)
+    certain = search.link_support(found, T) > CONFIG.certain_support
+    assert not certain[links].any()
+    assert np.delete(certain, links).all()
+
+
+@pytest.mark.parametrize("hidden", [0, 1])
+def test_a_hidden_finger_has_no_support(hidden: int) -> None:
+    hand = built_in_hand()
+    q, T = hand_pose(0)
+    links = list(hand.hand.fingers[hidden].links)
+    # A board in front of the half of the image that shows this finger.
+    tips = hand.link_poses(q[None], T[None])[0, [f.links[-1] for f in hand.hand.fingers], 0, 3]
+    side = np.sign(tips[hidden] - tips[1 - hidden])
+    board = exp(np.array([0, 0, 0, 0.8 * tips.mean() + side * 0.2, 0, 0.45]))
+    search = search_of(seen(hand, q, T, others=[(box([0.4, 0.6, 0.002]), board)]))
+    support = search.link_support(q, T)
+    assert (support[links] < CONFIG.certain_support).all()
+    assert (np.delete(support, links) > CONFIG.certain_support).all()
+    without = search_of(seen(hand, q, T)).link_support(q, T)
+    assert (without[links] > CONFIG.certain_support).all()
+
+
+def test_a_finger_at_a_wrong_place_has_no_support() -> None:
+    q, T = hand_pose(2)
+    search = search_of(seen(built_in_hand(), q, T))
+    wrong = q + [0.5, 0, 0, 0]
+    support = search.link_support(wrong, T)
+    first, second = built_in_hand().hand.fingers
+    assert (support[list(first.links)] < CONFIG.certain_support).all()
+    assert (support[list(second.links)] > CONFIG.certain_support).all()
+
+
+def test_the_best_of_every_finger_is_combined() -> None:
+    q, T = hand_pose(3)
+    starts = np.tile(q, (3, 1)) + [[0, 0, 0.3, 0.1], [0.3, -0.1, 0, 0], [0.4, 0.2, -0.3, 0.2]]
+    wrists = np.repeat(T[None], 3, axis=0)
+    combined, wrist_found = search_of(seen(built_in_hand(), q, T)).best_combination(starts, wrists)
+    np.testing.assert_array_equal(combined, q)
+    np.testing.assert_array_equal(wrist_found, T)
