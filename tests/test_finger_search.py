@@ -27,10 +27,17 @@ def best(search: FingerSearch, T_camera_hand: np.ndarray) -> np.ndarray:
     return q
 
 
+def certain(search: FingerSearch, q: np.ndarray, T_camera_hand: np.ndarray) -> np.ndarray:
+    """Whether the image supports each of the four finger links, finger by finger, shape (2, 2)."""
+    support = search.link_support(q, T_camera_hand)
+    links = [finger.links for finger in built_in_hand().hand.fingers]
+    return np.asarray(support[np.array(links)] > CONFIG.certain_support)
+
+
 def hand_pose(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Joints and wrist of a hand that shows both its fingers."""
     rng = np.random.default_rng(seed)
-    T = wrist(rng.normal(0, 0.4, 3), 0.6, 0.1)
+    T = wrist(rng.normal(0, 0.4, 3).tolist(), 0.6, 0.1)
     return rng.uniform([0.2, 0.1, 0.2, 0.1], [1.3, 1.2, 1.3, 1.2]), T
 
 
@@ -39,7 +46,7 @@ def test_the_joints_of_an_empty_hand_are_found(seed: int) -> None:
     q, T = hand_pose(seed)
     search = search_of(seen(built_in_hand(), q, T))
     np.testing.assert_allclose(best(search, T), q, atol=0.15)
-    assert (search.link_support(q, T) > CONFIG.certain_support).all()
+    assert certain(search, q, T).all()
 
 
 @pytest.mark.parametrize("name", ["cuboid", "industrial_part", "cylinder"])
@@ -71,42 +78,43 @@ def test_a_finger_does_not_claim_the_readings_of_another(
 ) -> None:
     """Only one finger is there, where the other one could be as well."""
     hand = built_in_hand()
-    links = list(hand.hand.fingers[missing].links)
+    links = hand.hand.fingers[missing].links
     q, (_, T) = np.array([*bent, *bent]), hand_pose(1)
     search = search_of(seen(hand, q, T, without=links))
     found = best(search, T)
     there = list(hand.hand.fingers[1 - missing].joints)
     np.testing.assert_allclose(found[there], q[there], atol=0.15)
-    certain = search.link_support(found, T) > CONFIG.certain_support
-    assert not certain[links].any()
-    assert np.delete(certain, links).all()
+    assert not certain(search, found, T)[missing].any()
+    assert certain(search, found, T)[1 - missing].all()
 
 
 @pytest.mark.parametrize("hidden", [0, 1])
 def test_a_hidden_finger_has_no_support(hidden: int) -> None:
     hand = built_in_hand()
     q, T = hand_pose(0)
-    links = list(hand.hand.fingers[hidden].links)
     # A board in front of the half of the image that shows this finger.
     tips = hand.link_poses(q[None], T[None])[0, [f.links[-1] for f in hand.hand.fingers], 0, 3]
     side = np.sign(tips[hidden] - tips[1 - hidden])
     board = exp(np.array([0, 0, 0, 0.8 * tips.mean() + side * 0.2, 0, 0.45]))
     search = search_of(seen(hand, q, T, others=[(box([0.4, 0.6, 0.002]), board)]))
-    support = search.link_support(q, T)
-    assert (support[links] < CONFIG.certain_support).all()
-    assert (np.delete(support, links) > CONFIG.certain_support).all()
-    without = search_of(seen(hand, q, T)).link_support(q, T)
-    assert (without[links] > CONFIG.certain_support).all()
+    assert not certain(search, q, T)[hidden].any()
+    assert certain(search, q, T)[1 - hidden].all()
+    assert certain(search_of(seen(hand, q, T)), q, T).all()
 
 
 def test_a_finger_at_a_wrong_place_has_no_support() -> None:
     q, T = hand_pose(2)
     search = search_of(seen(built_in_hand(), q, T))
-    wrong = q + [0.5, 0, 0, 0]
-    support = search.link_support(wrong, T)
-    first, second = built_in_hand().hand.fingers
-    assert (support[list(first.links)] < CONFIG.certain_support).all()
-    assert (support[list(second.links)] > CONFIG.certain_support).all()
+    np.testing.assert_array_equal(certain(search, q + [0.5, 0, 0, 0], T), [[0, 0], [1, 1]])
+
+
+def test_the_whole_hand_has_support_where_it_is() -> None:
+    q, T = hand_pose(2)
+    search = search_of(seen(built_in_hand(), q, T))
+    right = search.hand_support(q, T)
+    errors = exp(np.array([[0, 0, 0, 0, 0.02, 0], [0, 0, 0, 0.05, 0, 0], [0, 0, 1.0, 0, 0, 0]]))
+    wrong = [search.hand_support(q, T @ error) for error in errors]
+    assert max(wrong) < right - 0.2
 
 
 def test_the_best_of_every_finger_is_combined() -> None:

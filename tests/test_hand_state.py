@@ -6,6 +6,8 @@ from hand_view import off_by, seen, wrist
 from held_object import HeldObject, Q, built_in_hand, held_object
 
 from inhand.config import HandStateConfig, WristConfig
+from inhand.errors import NoAnswer
+from inhand.geometry.mesh import box
 from inhand.geometry.se3 import exp
 from inhand.stages.hand_state import estimate_hand_state
 from inhand.stages.observation import Observation
@@ -62,3 +64,13 @@ def test_a_finger_that_is_not_there_is_not_certain() -> None:
     state = estimated(seen(hand, Q, T, without=links), T)
     assert not state.certain[links].any()
     assert np.delete(state.certain, links).all()
+
+
+@pytest.mark.parametrize("depth", [0.45, 0.7], ids=["in front", "behind"])
+def test_a_hand_that_is_not_in_the_image_is_no_answer(depth: float) -> None:
+    """A wall is there instead, in front of where the hand should be or behind it."""
+    hand, T = built_in_hand(), wrist(distance=0.6, height=0.1)
+    wall = (box([2.0, 2.0, 0.01]), exp(np.array([0, 0, 0, 0, 0, depth])))
+    nothing = range(len(hand.hand.links))
+    with pytest.raises(NoAnswer, match="does not show the hand"):
+        estimated(seen(hand, Q, T, without=nothing, others=[wall]), T)

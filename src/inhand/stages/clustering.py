@@ -50,24 +50,35 @@ def distinct_poses(poses: PoseSet, obj: PackedObject, distance: float, keep: int
     ranked = poses.take(np.argsort(-poses.score, kind="stable"))
     on_device = device_poses(ranked.T_camera_object, obj.device)
     left = np.ones(len(ranked), dtype=bool)
+    farthest = max(3 * distance, 0.001)
     chosen: list[int] = []
     while len(chosen) < keep and left.any():
         best = int(left.argmax())
         chosen.append(best)
-        left &= _distances(on_device, ranked.T_camera_object[best], obj, 3 * distance) > distance
+        apart = surface_distances_to(on_device, ranked.T_camera_object[best], obj, farthest)
+        left &= apart > distance
         left[best] = False
     return ranked.take(np.array(chosen, dtype=np.intp))
 
 
-def _distances(
-    on_device: Any, T: NDArray[np.float32], obj: PackedObject, farthest: float
+def surface_distances_to(
+    T_camera_object: Any, T: NDArray[np.float32], obj: PackedObject, farthest: float
 ) -> NDArray[np.float32]:
-    """Mean surface distances [m] of device poses to one pose, cut off at `farthest`."""
-    out = wp.empty(len(on_device), dtype=float, device=obj.device)
+    """Mean distances [m], shape (m,), of the surface at some poses to the surface at one pose.
+
+    Args:
+        T_camera_object: poses, shape (m, 4, 4), or on the device.
+        T: the one pose, shape (4, 4).
+        obj: the object.
+        farthest: larger distances are cut off here [m].
+    """
+    if not isinstance(T_camera_object, wp.array):
+        T_camera_object = device_poses(T_camera_object, obj.device)
+    out = wp.empty(len(T_camera_object), dtype=float, device=obj.device)
     launch(
         surface_distances,
-        len(on_device),
-        [on_device, wp.mat44(*T.reshape(-1).tolist()), obj.points, 24, obj.fields]
+        len(T_camera_object),
+        [T_camera_object, wp.mat44(*T.reshape(-1).tolist()), obj.points, 24, obj.fields]
         + [wp.vec3(*obj.model.centre.tolist()), farthest, out],
         obj.device,
         work_per_item=5,

@@ -165,7 +165,7 @@ def _clearance(
     farthest: float,
 ) -> NDArray[np.float32]:
     """Smallest signed distance [m], shape (count,), of posed objects to some links of the hand."""
-    device, hand = obj.device, evidence.hand
+    device, hand, points = obj.device, evidence.hand, min(points, len(obj.points))
     clearance = wp.empty(count, dtype=float, device=device)
     launch(
         hand_clearance,

@@ -79,20 +79,29 @@ class FingerSearch:
         return combined, T
 
     def link_support(self, q: Array, T_camera_hand: Array) -> Array:
-        """Score of every link per share of it that nothing hides, shape (L,); 1 for palm links.
+        """Score of every finger link per share of it that nothing hides, (L,); 0 for palm links.
 
         Args:
             q: joint vector, shape (n,).
             T_camera_hand: wrist pose, shape (4, 4).
         """
-        support = np.ones(len(self.hand.links))
+        support = np.zeros(len(self.hand.links))
         for finger in self.hand.fingers:
             others = [other for other in self.hand.fingers if other is not finger]
             depth = self._render(q, T_camera_hand, others)
             for link in finger.links:
-                score, seen = self._score((link,), q[None], T_camera_hand[None], depth)
-                support[link] = score[0] / max(float(seen[0]), self.config.min_seen)
+                support[link] = self._support((link,), q, T_camera_hand, depth)
         return support
+
+    def hand_support(self, q: Array, T_camera_hand: Array) -> float:
+        """Score of the whole hand per share of it that nothing hides; arguments as above."""
+        pixels = self.camera.width * self.camera.height
+        nothing = wp.zeros(pixels, dtype=float, device=self.packed.device)
+        return self._support(range(len(self.hand.links)), q, T_camera_hand, nothing)
+
+    def _support(self, links: Sequence[int], q: Array, T_camera_hand: Array, others: Any) -> float:
+        score, seen = self._score(links, q[None], T_camera_hand[None], others)
+        return float(score[0]) / max(float(seen[0]), self.config.min_seen)
 
     def _search(
         self, finger: Finger, T_camera_hand: Array, others: Any, rng: np.random.Generator

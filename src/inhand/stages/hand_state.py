@@ -3,6 +3,7 @@
 import numpy as np
 
 from inhand.config import HandStateConfig, WristConfig
+from inhand.errors import NoAnswer
 from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import ArticulatedFit
 from inhand.stages.finger_search import Array, FingerSearch
@@ -25,6 +26,9 @@ def estimate_hand_state(
     The paper runs a particle swarm on Alg. 1. By default every finger is searched over its whole
     range with a visibility-aware score; the best few configurations of each then start a joint
     Gauss-Newton over wrist and all fingers.
+
+    Raises:
+        NoAnswer: the hand is not where it should be.
     """
     if config.method == "swarm":
         return search_fingers(observation, wrist, hand, config, rng)
@@ -43,7 +47,12 @@ def estimate_hand_state(
     q, T = fit.refine(starts, np.repeat(wrist.T_camera_hand[None], len(starts), 0), widths)
     best_q, best_T = search.best_combination(q, T)
     q, T = fit.refine(best_q[None], best_T[None], np.full(4, config.last_width))
-    certain = search.link_support(q[0], T[0]) > config.certain_support
+    if search.hand_support(q[0], T[0]) < config.min_hand_support:
+        raise NoAnswer(
+            "the image does not show the hand where the wrist pose puts it: it looks through the "
+            "hand, or sees something else there; check the wrist pose and the hand model"
+        )
+    certain = (search.link_support(q[0], T[0]) > config.certain_support) | hand.is_palm
     return HandState(q[0], T[0], hand.link_poses(q, T)[0], certain)
 
 

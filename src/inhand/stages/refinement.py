@@ -29,15 +29,16 @@ def refine(
     device = obj.device
     refined = wp.empty(len(poses), dtype=wp.mat44, device=device)
     stride = max(1, evidence.segment_size // config.segment_points)
+    n = min(config.model_points, len(obj.points))
     launch(
         refine_poses,
         len(poses),
         [evidence.arrays, device_poses(poses.T_camera_object, device)]
-        + [obj.points, obj.normals, config.model_points, obj.fields]
+        + [obj.points, obj.normals, n, obj.fields]
         + [wp.vec3(*obj.model.centre.tolist()), 0.5 * obj.model.diameter]
         + [config.iterations, config.first_width, config.last_width, stride]
         + [config.image_weight, refined],
         device,
-        work_per_item=config.iterations * (config.segment_points + config.model_points),
+        work_per_item=config.iterations * (config.segment_points + n),
     )
     return PoseSet(np.asarray(refined.numpy()), poses.score)

@@ -1,10 +1,12 @@
 """Choice of the answer among the poses that are left (paper, section IV-C)."""
 
+import math
+
 import numpy as np
 
 from inhand.config import SelectionConfig
 from inhand.packed import PackedHand, PackedObject
-from inhand.stages.clustering import distinct_poses
+from inhand.stages.clustering import distinct_poses, surface_distances_to
 from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.observation import Observation
 from inhand.stages.render_selection import select_by_rendering
@@ -28,7 +30,7 @@ def select(
     """
     if config.method == "render":
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
-        return Selection(ranked, _confidence(ranked, config))
+        return Selection(ranked, _confidence(ranked, obj, config))
     scores = score_with_contact(
         evidence,
         obj,
@@ -39,15 +41,25 @@ def select(
         contact_points=config.contact_points,
     )
     ranked = distinct_poses(
-        PoseSet(poses.T_camera_object, scores), obj, config.merge_distance, config.candidates
+        PoseSet(poses.T_camera_object, scores), obj, config.merge_distance, len(poses)
     )
-    return Selection(ranked, _confidence(ranked, config))
+    confidence = _confidence(ranked, obj, config)
+    return Selection(ranked.take(np.arange(min(config.candidates, len(ranked)))), confidence)
 
 
-def _confidence(ranked: PoseSet, config: SelectionConfig) -> float:
-    """Posterior of the first mode among the distinct modes, times how well it fits at all."""
+def _confidence(ranked: PoseSet, obj: PackedObject, config: SelectionConfig) -> float:
+    """Probability that the first pose is right: how well it fits, and its lead over any rival.
+
+    A rival is a pose whose surface lies elsewhere; slight variants of the first pose are none.
+    """
     if not len(ranked):
         return 0.0
-    odds = np.exp((ranked.score - ranked.score[0]) / config.temperature)
-    fit = 1 / (1 + np.exp(-(ranked.score[0] - config.score_at_half) / config.score_slope))
-    return float(odds[0] / odds.sum() * fit)
+    apart = surface_distances_to(ranked.T_camera_object, ranked.T_camera_object[0], obj, 0.1)
+    rivals = ranked.score[apart > config.rival_distance]
+    lead = float(ranked.score[0] - rivals.max()) if len(rivals) else config.max_lead
+    logit = (
+        config.confidence_bias
+        + config.confidence_fit * float(ranked.score[0])
+        + config.confidence_lead * min(lead, config.max_lead)
+    )
+    return 1 / (1 + math.exp(-max(min(logit, 50.0), -50.0)))
