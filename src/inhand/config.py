@@ -150,7 +150,7 @@ class HandStateConfig(Section):
     """A whole hand that scores less, per share of it that nothing hides, is not in the image."""
     min_seen: float = 0.07
     """Shares that nothing hides count as this at least."""
-    render_step: int = 2
+    render_step: int = 4
     """The palm and the other fingers are rendered at every so-many-th pixel."""
     particles: int = 15
     """Particles of the swarm. Paper: 15."""
@@ -231,9 +231,9 @@ class HypothesesConfig(Section):
 
     method: Literal["pairs", "congruent_sets"] = "pairs"
     """`congruent_sets`: the paper's Alg. 2 and Super4PCS extraction; `pairs`: oriented pairs."""
-    pairs: int = 1000
+    pairs: int = 800
     """`pairs`: scene pairs sampled."""
-    matches: int = 40
+    matches: int = 32
     """`pairs`: model pairs drawn for each."""
     partner_tries: int = 4
     """`pairs`: second points tried for each first one."""
@@ -294,7 +294,7 @@ class ClusteringConfig(Section):
 
     method: Literal["distinct", "se3"] = "distinct"
     """`se3`: the paper's, Euclidean then geodesic; `distinct`: greedy by score."""
-    shortlist: int = 2000
+    shortlist: int = 1000
     """`distinct`: hypotheses scored again."""
     tolerance: float = 0.006
     """`distinct`: depth agreement of a model point with its pixel [m]."""

@@ -122,7 +122,7 @@ def missing_share(
     share[i] = 0.0
     if depth[i] > 0.0:
         return
-    step = wp.max(1, radius // 3)
+    step = wp.max(1, radius // 2)
     missing = int(0)
     total = int(0)
     for y in range(wp.max(v - radius, 0), wp.min(v + radius + 1, height), step):
