@@ -4,9 +4,14 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from inhand.synth.demo import regression_scenes
 from inhand.synth.scene import Scene
+
+# The same examples every time, however slow the machine is.
+settings.register_profile("inhand", derandomize=True, deadline=None)
+settings.load_profile("inhand")
 
 
 @pytest.fixture(scope="session")

@@ -535,7 +535,9 @@ def test_hand_that_is_not_there(scenes: list[Scene]) -> None:
         estimate = PoseEstimator(scene.hand, scene.obj, device="cpu").estimate(
             background.astype(np.float32), scene.camera, scene.T_camera_hand_given
         )
-        assert_no_answer(estimate, "does not show the hand|depth readings (lie in the region of|near) the hand")
+        assert_no_answer(
+            estimate, "does not show the hand|depth readings (lie in the region of|near) the hand"
+        )
 
 
 def test_wall_in_place_of_the_hand(estimator: PoseEstimator, inputs: Inputs) -> None:

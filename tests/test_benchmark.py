@@ -1,6 +1,7 @@
 """The benchmark on a tiny rendered set, with an estimator that does as it is told."""
 
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from io import StringIO
@@ -23,7 +24,8 @@ from inhand.evaluation.contact_sheet import TILE, ContactSheet, worst_frames
 from inhand.evaluation.diagnosis import SegmentQuality, stage_to_blame
 from inhand.evaluation.metrics import PoseError
 from inhand.evaluation.report import print_summary
-from inhand.evaluation.results import FrameResult, Ledger
+from inhand.evaluation.results import FrameResult, Ledger, read_results
+from inhand.evaluation.shards import Shard
 from inhand.evaluation.summary import summarise
 from inhand.geometry import mesh as meshes
 from inhand.geometry.distance_field import build_distance_field
@@ -367,9 +369,27 @@ def test_command_line_runs_stops_and_goes_on(
     assert summary["frames"]["answer"] == 6
     assert summary["settings"]["preset"] == "default"
     assert (out / "worst.png").exists()
-    assert len((out / "results.jsonl").read_text().splitlines()) == 7
+    assert len((out / "results.jsonl").read_text().splitlines()) == 1 + 1 + 6, "one origin"
+    assert main([*command, "--shard", "2/3"]) == 0
+    assert len(read_results(out / "results-2of3.jsonl").results) == 2
+    assert (out / "summary-2of3.json").exists()
     assert main([*command, "--seed", "1"]) == 2, "other settings"
     assert main([*command, "--seed", "1", "--restart"]) == 0
+
+
+def test_missing_ray_is_one_line(
+    urdf: Path,
+    frames: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "objects").mkdir()
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.setattr("inhand.cli.bench.load_kernels", lambda *_: None)
+    command = ["bench", str(frames), "--hand", str(urdf), "--out", str(tmp_path / "out"), "--ray"]
+    assert main([*command, "--objects", str(tmp_path / "objects"), "--device", "cpu"]) == 2
+    assert capsys.readouterr().err == 'inhand: --ray needs Ray: pip install "inhand[ray]"\n'
 
 
 @pytest.mark.parametrize(
@@ -380,6 +400,8 @@ def test_command_line_runs_stops_and_goes_on(
         (["{frames}", "--hand", "{urdf}"], "--objects"),
         (["{frames}", "--hand", "{urdf}", "--objects", "none"], "no folder of object meshes"),
         (["{frames}", "--every", "0"], "at least 1"),
+        (["{frames}", "--shard", "3/2"], "such as 2/4"),
+        (["{frames}", "--shard", "a"], "such as 2/4"),
     ],
 )
 def test_command_line_says_what_is_missing(
@@ -458,6 +480,16 @@ def test_picks_frames_evenly() -> None:
     assert pick_frames(files, every=5, limit=9) == [files[0], files[5]]
     with pytest.raises(InputError, match="at least 1"):
         pick_frames(files, limit=0)
+
+
+def test_shards_share_the_frames_evenly() -> None:
+    files = [Path(str(i)) for i in range(10)]
+    parts = [Shard(i, 3).pick(files) for i in (1, 2, 3)]
+    assert sorted(file for part in parts for file in part) == files
+    assert [len(part) for part in parts] == [4, 3, 3]
+    assert Shard.parse("2/3") == (2, 3)
+    assert Shard(2, 3).named("results.jsonl") == "results-2of3.jsonl"
+    assert Shard(1, 1).named("results.jsonl") == "results.jsonl"
 
 
 def test_peak_memory_holds_what_is_in_use() -> None:

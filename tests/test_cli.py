@@ -182,7 +182,7 @@ def test_wrong_arguments(words: str) -> None:
     assert stop.value.code == 2
 
 
-@pytest.mark.parametrize("command", ["demo", "estimate", "bench", "warmup"])
+@pytest.mark.parametrize("command", ["demo", "estimate", "bench", "synth", "warmup"])
 def test_help_of_every_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([command, "--help"])

@@ -263,6 +263,7 @@ def test_bop_shares_count_the_thresholds_above_the_error(box_metric: ObjectMetri
     assert scores.mssd == pytest.approx(0.12 * diameter)
     assert scores.mssd_share == pytest.approx(0.8)
     # 3 pixels of an image 64 wide are 30 of one 640 wide: not below 5, 10 ... 30, but 35 to 50.
+    assert scores.mspd is not None
     assert scores.mspd == pytest.approx(CAMERA.fx * 0.12 * diameter / 0.47)
     passed = (scores.mspd * 640 / 64 < np.arange(5, 51, 5)).sum()
     assert scores.mspd_share == pytest.approx(passed / 10)

@@ -221,7 +221,7 @@ def test_points_without_weight_are_not_sampled() -> None:
     """Half of the segment is clutter that is known to be none of the object's."""
     scene = held_object("industrial_part")
     segment = scene.segment
-    clutter = segment.points + np.float32([0.5, 0, 0])
+    clutter = segment.points + np.array([0.5, 0, 0], dtype=np.float32)
     mixed = Segment(
         np.concatenate([segment.points, clutter]),
         np.concatenate([segment.normals, segment.normals]),

@@ -17,7 +17,6 @@ from inhand.synth import demo
 from inhand.synth.grasp import Grasp, GraspSampler, open_configuration
 from inhand.synth.scene import (
     BACKGROUND,
-    CLEAN,
     HAND,
     NOISY,
     NOTHING,
@@ -26,7 +25,6 @@ from inhand.synth.scene import (
     SceneMaker,
     SceneProtocol,
     make_scene,
-    viewpoints,
 )
 
 SMALL = Camera(fx=150, fy=150, cx=79.5, cy=59.5, width=160, height=120)

@@ -8,6 +8,7 @@ import pytest
 from inhand.camera import Camera
 from inhand.geometry import se3
 from inhand.synth.sensor import (
+    ACTIVE_STEREO,
     PERFECT,
     STRUCTURED_LIGHT,
     SensorModel,
@@ -163,7 +164,48 @@ def test_structured_light_has_every_error() -> None:
     changed = [
         f.name for f in fields(SensorModel) if f.default != getattr(STRUCTURED_LIGHT, f.name)
     ]
-    assert set(changed) == {f.name for f in fields(SensorModel)} - {"flying_step", "hole_size"}
+    stereo = {"disparity", "disparity_step", "fattening"}
+    everything = {f.name for f in fields(SensorModel)}
+    assert set(changed) == everything - {"flying_step", "hole_size"} - stereo
+
+
+def test_active_stereo_has_its_errors() -> None:
+    changed = {f.name for f in fields(SensorModel) if f.default != getattr(ACTIVE_STEREO, f.name)}
+    assert changed == {f.name for f in fields(SensorModel)} - {
+        *("axial", "axial_growth", "flying_step", "hole_size")
+    }
+
+
+@pytest.mark.parametrize("z", [0.3, 0.6, 1.2])
+def test_disparity_errors_grow_with_the_square_of_depth(z: float) -> None:
+    model = replace(FINE, baseline=0.05, disparity=0.08)
+    errors = read(wall(z), model)[:, 40:] - np.float32(z)
+    assert errors.std() == pytest.approx(0.08 * z**2 / (CAMERA.fx * 0.05), rel=0.03)
+    assert abs(errors.mean()) < 0.1 * errors.std()
+
+
+def test_disparity_comes_in_steps() -> None:
+    model = replace(FINE, baseline=0.05, disparity=0.08, disparity_step=1 / 32)
+    reading = read(wall(0.5, tilt=0.5), model)
+    disparity = CAMERA.fx * 0.05 / reading[reading > 0]
+    assert np.abs(32 * disparity - np.rint(32 * disparity)).max() < 2e-3
+    assert len(np.unique(np.rint(32 * disparity))) > 100
+
+
+def test_near_surfaces_grow_over_far_ones() -> None:
+    depth = step(0.4, 0.6)
+    depth[:100] = 0
+    half = CAMERA.width // 2
+    reading = read(depth, replace(FINE, fattening=2))
+    assert (reading[110:, half - 2 :] == np.float32(0.4)).all()
+    np.testing.assert_allclose(reading[110:, : half - 2], 0.6, atol=1e-6)
+
+
+def test_active_stereo_keeps_most_of_a_plain_surface() -> None:
+    errors = read(wall(0.5, tilt=0.3), ACTIVE_STEREO)[:, 60:] - wall(0.5, tilt=0.3)[:, 60:]
+    seen = errors > -0.1
+    assert seen.mean() > 0.97
+    assert np.median(np.abs(errors[seen])) < 0.001
 
 
 def test_wrist_errors_have_the_stated_deviations() -> None:

@@ -2,6 +2,9 @@
 
 from inhand.baselines.estimators import Estimator, ablation
 from inhand.baselines.super4pcs import Super4PCS
+from inhand.baselines.open3d_features import *
+from inhand.baselines.opencv_ppf import *
+from inhand.baselines.kiss_matcher import *
 from inhand.baselines.registration import CloudMethod
 from inhand.config import EstimatorConfig
 
@@ -11,6 +14,18 @@ def find_method(name, seed=0):
         return Estimator(name, EstimatorConfig())
     if name.startswith("ablation"):
         return Estimator(name, ablation()[name])
-    icp = name.endswith("+icp")
+    n = name.split("+")[0]
+    icp = name.endswith("+icp") or n != "super4pcs"
     source = "hs" if "+hs" in name else "mask" if "+mask" in name else "region"
-    return CloudMethod(name, {"super4pcs": Super4PCS}[name.split("+")[0]], source, icp)
+    return CloudMethod(
+        name,
+        {
+            "super4pcs": Super4PCS,
+            "fpfh-ransac": FpfhRansac,
+            "fgr": FastGlobalRegistration,
+            "opencv-ppf": OpenCVPpf,
+            "kiss-matcher": KissMatcher,
+        }[n],
+        source,
+        icp,
+    )

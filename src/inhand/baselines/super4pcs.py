@@ -47,15 +47,17 @@ class Settings:
     """Distance of the fourth point to the others, in widths of the widest base."""
     bases: int = 100
     """Number of bases."""
-    tries: int = 200
+    triangles: int = 200
     """Triangles of which a base takes the largest."""
+    attempts: int = 20
+    """Times that a base is begun anew when it finds no fourth point."""
     model_points: int = 200
     """Points of the model that make sets."""
     directions: int = 16
     """Bins of directions in the rotation-aware grid."""
-    sets_per_base: int = 1000
+    sets_per_base: int = 500
     """Congruent sets of a base that are verified at most."""
-    lcp_points: int = 300
+    lcp_points: int = 200
     """Points of the cloud that verify them at most."""
 
 
@@ -100,14 +102,13 @@ class Super4PCS(Registration):
         s, rule = self.settings, WideBaseRule()
         rule.widest = s.overlap * self.obj.model.diameter
         rule.narrowest, rule.coplanarity = s.narrowest * rule.widest, s.delta
-        rule.tries = s.tries
+        rule.triangles, rule.attempts = s.triangles, s.attempts
+        rule.farthest_crossing = FARTHEST_CROSSING
         bases, ratios = self._empty(s.bases, wp.vec4i), self._empty(s.bases, wp.vec2)
         inputs = [scene, rule, int(rng.integers(2**31)), bases, ratios]
-        work = 20 * (s.tries + len(scene))
+        work = 20 * (s.triangles + len(scene))
         launch(sample_wide_bases, s.bases, inputs, self.obj.device, work_per_item=work)
         found = bases.numpy()[:, 0] >= 0
-        # Of four points with one amid the others no two pairs cross.
-        found &= np.abs(ratios.numpy() - 0.5).max(axis=1) < FARTHEST_CROSSING
         return Bases(bases.numpy()[found], ratios.numpy()[found])
 
     def extract(self, scene: Any, bases: Bases) -> CongruentSets:

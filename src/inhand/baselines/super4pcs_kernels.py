@@ -19,8 +19,12 @@ class WideBaseRule:
     """The fourth point is at least this far from the others [m]."""
     coplanarity: float
     """Largest distance of the fourth point to the plane of the others [m]."""
-    tries: int
+    triangles: int
     """Triangles of which the largest is taken."""
+    attempts: int
+    """Times that a base is begun anew when it finds no fourth point."""
+    farthest_crossing: float
+    """The pairs' lines cross at most this far from the pairs' middles, in their lengths."""
 
 
 @wp.kernel
@@ -41,27 +45,42 @@ def sample_wide_bases(
     i = first + wp.tid()
     state = wp.rand_init(seed, i)
     n = points.shape[0]
+    for _attempt in range(rule.attempts):
+        bases[i] = wp.vec4i(-1, -1, -1, -1)
+        a = wp.randi(state, 0, n)
+        b = int(a)
+        c = int(a)
+        largest = float(0.0)
+        for _triangle in range(rule.triangles):
+            j = wp.randi(state, 0, n)
+            k = wp.randi(state, 0, n)
+            u = points[j] - points[a]
+            v = points[k] - points[a]
+            area = wp.length(wp.cross(u, v))
+            if area > largest and wp.length(u) < rule.widest and wp.length(v) < rule.widest:
+                largest = area
+                b = j
+                c = k
+        if largest == 0.0:
+            continue
+        d = flattest_point(points, rule, a, b, c)
+        if d < 0:
+            continue
+        pair_up(points, wp.vec4i(a, b, c, d), i, bases, ratios)
+        off = wp.max(wp.abs(ratios[i][0] - 0.5), wp.abs(ratios[i][1] - 0.5))
+        # Of four points with one amid the others no two pairs cross.
+        if off < rule.farthest_crossing:
+            return
     bases[i] = wp.vec4i(-1, -1, -1, -1)
-    a = wp.randi(state, 0, n)
-    b = int(-1)
-    c = int(-1)
-    largest = float(0.0)
-    for _ in range(rule.tries):
-        j = wp.randi(state, 0, n)
-        k = wp.randi(state, 0, n)
-        u = points[j] - points[a]
-        v = points[k] - points[a]
-        area = wp.length(wp.cross(u, v))
-        if area > largest and wp.length(u) < rule.widest and wp.length(v) < rule.widest:
-            largest = area
-            b = j
-            c = k
-    if b < 0:
-        return
+
+
+@wp.func
+def flattest_point(points: wp.array(dtype=wp.vec3), rule: WideBaseRule, a: int, b: int, c: int):
+    """The point nearest to the plane of three others and not too near to them, or -1."""
     plane = wp.normalize(wp.cross(points[b] - points[a], points[c] - points[a]))
     d = int(-1)
     flattest = rule.coplanarity
-    for k in range(n):
+    for k in range(points.shape[0]):
         p = points[k]
         to_a = wp.length(p - points[a])
         others = wp.min(wp.length(p - points[b]), wp.length(p - points[c]))
@@ -70,8 +89,7 @@ def sample_wide_bases(
         if height < flattest and to_a < rule.widest and far:
             flattest = height
             d = k
-    if d >= 0:
-        pair_up(points, wp.vec4i(a, b, c, d), i, bases, ratios)
+    return d
 
 
 @wp.struct

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from inhand.cli import bench, demo, estimate, synth, warmup
+from inhand.cli import bench, demo, estimate, report, synth, warmup
 from inhand.errors import InputError
 
 FOUND, NOT_FOUND, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -19,6 +19,7 @@ _RUN: dict[type, Callable[[Any], int | None]] = {
     demo.Demo: demo.run,
     estimate.Estimate: estimate.run,
     bench.Bench: bench.run,
+    report.Report: report.run,
     synth.Synth: synth.run,
     warmup.Warmup: warmup.run,
 }
@@ -26,6 +27,7 @@ _Command = (
     Annotated[demo.Demo, tyro.conf.subcommand("demo")]
     | Annotated[estimate.Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[bench.Bench, tyro.conf.subcommand("bench")]
+    | Annotated[report.Report, tyro.conf.subcommand("report")]
     | Annotated[synth.Synth, tyro.conf.subcommand("synth")]
     | Annotated[warmup.Warmup, tyro.conf.subcommand("warmup")]
 )

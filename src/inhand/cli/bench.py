@@ -1,9 +1,9 @@
 """`inhand bench`: how good the estimator is on frames with ground truth."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from inhand.evaluation.benchmark import Benchmark
     from inhand.evaluation.contact_sheet import ContactSheet
     from inhand.evaluation.results import FrameResult, Ledger
+    from inhand.object_model import ObjectModel
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -48,8 +49,13 @@ class Bench:
     """Take only every n-th frame."""
     limit: int | None = None
     """Take at most this many frames, spread evenly."""
+    shard: str = "1/1"
+    """Take only one of several parts of the frames, such as 2/4: for runs on several machines."""
     preset: Preset = "default"
     """Configuration: the project's own, or the paper's method."""
+    ray: bool = False
+    """Spread the frames over the CPUs of a Ray cluster, which RAY_ADDRESS names; without it, over
+    those of this machine. Times are then those of frames that run side by side."""
     device: str | None = None
     """Where the kernels run, such as cpu or cuda:0. Default: the best there is."""
     seed: int = 0
@@ -65,32 +71,42 @@ def run(args: Bench) -> int:
         InputError: there are no frames, no hand or no objects, or the output folder holds results
             made with other settings.
     """
+    from inhand.cluster import map_on_ray
     from inhand.datasets.frames import find_frames, frame_name
-    from inhand.evaluation.benchmark import pick_frames
+    from inhand.evaluation.benchmark import missing, pick_frames
     from inhand.evaluation.contact_sheet import worst_frames
+    from inhand.evaluation.machine import origin
     from inhand.evaluation.report import print_summary
     from inhand.evaluation.results import Ledger
+    from inhand.evaluation.shards import Shard
     from inhand.evaluation.summary import summarise
     from inhand.kernels.launch import resolve_device
 
     console = Console()
+    shard = Shard.parse(args.shard)
     files = pick_frames(find_frames(args.frames), every=args.every, limit=args.limit)
+    files = shard.pick(files)
     device = resolve_device(args.device)
     settings = _settings(args, device)
     out = args.out or Path("out") / f"bench-{'-'.join(f.resolve().name for f in args.frames)}"
-    ledger = Ledger(out / "results.jsonl", settings, restart=args.restart)
+    path = out / shard.named("results.jsonl")
+    ledger = Ledger(path, settings, origin(device), restart=args.restart)
 
     load_kernels(device, console)
-    with console.status("Building the model of the hand (from the cache next time)"):
-        benchmark, sheet = _tools(args, settings, device)
-    finished = _run_with_progress(benchmark, files, ledger, console)
+    if args.ray:
+        make_scorer = partial(_scorer, settings)
+        scored = ledger.record(map_on_ray(make_scorer, missing(files, ledger)))
+    else:
+        with console.status("Building the model of the hand (from the cache next time)"):
+            scored = _benchmark(settings).run(files, ledger)
+    finished = _run_with_progress(scored, files, ledger, console)
     results = [ledger.results[name] for name in map(frame_name, files) if name in ledger.results]
     summary = {"settings": settings, **summarise(results)}
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    (out / shard.named("summary.json")).write_text(json.dumps(summary, indent=2) + "\n")
     print_summary(summary, console)
     if worst := worst_frames(results, WORST):
-        sheet.save(out / "worst.png", worst)
-    console.print(f"Wrote {out}/results.jsonl, summary.json and worst.png")
+        _contact_sheet(settings).save(out / shard.named("worst.png"), worst)
+    console.print(f"Wrote {path}, and summary and pictures of the worst frames beside it")
     if not finished:
         left = f"Stopped at {len(results)} of {len(files)} frames"
         console.print(f"[yellow]{left}; the same command goes on from there[/yellow]")
@@ -122,33 +138,42 @@ def _settings(args: Bench, device: str) -> dict[str, Any]:
     }
 
 
-def _tools(
-    args: Bench, settings: dict[str, Any], device: str
-) -> tuple["Benchmark", "ContactSheet"]:
-    """The benchmark and the drawer of the contact sheet."""
-    from inhand.datasets import frames
+def _benchmark(settings: dict[str, Any]) -> "Benchmark":
     from inhand.estimator import PoseEstimator
     from inhand.evaluation.benchmark import Benchmark
-    from inhand.evaluation.contact_sheet import ContactSheet
     from inhand.hand import Hand
     from inhand.object_model import ObjectModel
 
-    hand = Hand.from_urdf(settings["hand"])
-    config = make_config(args.preset, args.seed)
-
-    @cache
-    def load_object(name: str) -> ObjectModel:
-        return frames.load_object(settings["objects"], name)
+    hand, device = Hand.from_urdf(settings["hand"]), settings["device"]
+    config = make_config(settings["preset"], settings["seed"])
 
     def make_estimator(model: ObjectModel) -> PoseEstimator:
         return PoseEstimator(hand, model, config=config, device=device)
 
-    benchmark = Benchmark(hand, load_object, make_estimator, device)
-    return benchmark, ContactSheet(hand, load_object, device)
+    return Benchmark(hand, _object_loader(settings), make_estimator, device)
+
+
+def _scorer(settings: dict[str, Any]) -> Callable[[Path], "FrameResult"]:
+    """The scoring of one frame after the other, in a process of a cluster."""
+    return _benchmark(settings).score
+
+
+def _contact_sheet(settings: dict[str, Any]) -> "ContactSheet":
+    from inhand.evaluation.contact_sheet import ContactSheet
+    from inhand.hand import Hand
+
+    hand = Hand.from_urdf(settings["hand"])
+    return ContactSheet(hand, _object_loader(settings), settings["device"])
+
+
+def _object_loader(settings: dict[str, Any]) -> Callable[[str], "ObjectModel"]:
+    from inhand.datasets import frames
+
+    return cache(lambda name: frames.load_object(settings["objects"], name))
 
 
 def _run_with_progress(
-    benchmark: "Benchmark",
+    scored: Iterator["FrameResult"],
     files: Sequence[Path],
     ledger: "Ledger",
     console: Console,
@@ -167,7 +192,7 @@ def _run_with_progress(
     with progress.Progress(*columns, console=console) as bar:
         task = bar.add_task(_running_recall(done), total=len(files), completed=len(done))
         try:
-            for result in benchmark.run(files, ledger):
+            for result in scored:
                 done.append(result)
                 if result.outcome in ("error", "unreadable"):
                     bar.print(f"{result.frame}: {result.reason}", markup=False, highlight=False)

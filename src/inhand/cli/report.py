@@ -25,8 +25,8 @@ class Report:
     """Title of the page."""
     reference: str | None = None
     """Method that the others are compared with. Default: inhand, or the first one."""
-    pictures: int = 12
-    """Frames in the gallery, of each kind: successes and failures of the reference; 0 for none."""
+    pictures: int = 8
+    """Successes, and failures, of the reference in the gallery of a data set; 0 for none."""
 
 
 def run(args: Report) -> int:

@@ -175,7 +175,8 @@ def read_scene(scene: Path) -> SceneFiles:
             else ""
         )
         raise InputError(f"the scene {scene} {why or f'has no ground truth: there is no {TRUTH}'}")
-    return _read_scene(scene, (scene / TRUTH).stat().st_mtime_ns)
+    files = [scene / name for name in (CAMERA, TRUTH, INFO, HAND)]
+    return _read_scene(scene, tuple(f.stat().st_mtime_ns for f in files if f.is_file()))
 
 
 def read_image(scene: Path, image_id: int) -> BopImage:
@@ -303,7 +304,7 @@ def frame_target(path: Path) -> tuple[int, int, int]:
 
 
 @lru_cache(maxsize=4)
-def _read_scene(scene: Path, _changed: int) -> SceneFiles:
+def _read_scene(scene: Path, _changed: tuple[int, ...]) -> SceneFiles:
     truth = _by_image(read_json(scene / TRUTH), scene / TRUTH)
     camera = _by_image(read_json(scene / CAMERA), scene / CAMERA)
     info, hand, hand_info = {}, {}, None
@@ -312,7 +313,7 @@ def _read_scene(scene: Path, _changed: int) -> SceneFiles:
     if (scene / HAND).is_file():
         fields = read_json(scene / HAND)
         hand_info = _read_hand_info(fields, scene)
-        hand = _by_image(fields["images"], scene / HAND)
+        hand = _by_image(fields.get("images"), scene / HAND)
     for name, entries in ((CAMERA, camera), (INFO, info), (HAND, hand)):
         missing = sorted(set(truth) - set(entries)) if entries else []
         if missing:

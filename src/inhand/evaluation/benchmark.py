@@ -59,11 +59,7 @@ class Benchmark:
 
         A frame that cannot be read or that the estimator fails on is a result too.
         """
-        for file in files:
-            if frame_name(file) not in ledger.results:
-                result = self.score(file)
-                ledger.append(result)
-                yield result
+        return ledger.record(map(self.score, missing(files, ledger)))
 
     def score(self, file: Path) -> FrameResult:
         """Run the estimator on one frame and score it; never raises for what a frame does."""
@@ -183,6 +179,11 @@ def _wrist_errors(
     }
     truth = frame.truth.T_camera_hand
     return {stage: wrist_error(T, truth) for stage, T in poses.items() if T is not None}
+
+
+def missing(files: Sequence[Path], ledger: Ledger) -> list[Path]:
+    """The frames that have no result in the ledger."""
+    return [file for file in files if frame_name(file) not in ledger.results]
 
 
 def pick_frames(files: Sequence[Path], *, every: int = 1, limit: int | None = None) -> list[Path]:

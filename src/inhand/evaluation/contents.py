@@ -6,8 +6,9 @@ from functools import cached_property
 from math import degrees
 
 from inhand.evaluation import figures, report
+from inhand.evaluation.diagnosis import POSE_STAGES
 from inhand.evaluation.figures import Figures
-from inhand.evaluation.study import ABLATION, Study
+from inhand.evaluation.study import ABLATION, UPPER_BOUND, Study
 from inhand.evaluation.summary import Results, Summary, summarise
 from inhand.evaluation.tables import Table
 
@@ -61,8 +62,13 @@ class Contents:
         )
 
     @cached_property
+    def _every_summary(self) -> Panels:
+        return self._summarised(self._study.results)
+
+    @cached_property
     def _summaries(self) -> Panels:
-        return self._summarised(lambda name: self._study.results(name))
+        """Of the methods that had a frame that could be read."""
+        return _where(self._every_summary, lambda s: s["recall"]["all"]["5 mm"]["frames"])
 
     @cached_property
     def _pooled(self) -> dict[str, Summary]:
@@ -98,28 +104,29 @@ class Contents:
         return [section for section in found if section.items]
 
     def _overview(self) -> Section:
-        panels = {name: self._study.results(name) for name in self._summaries}
+        panels = {
+            name: {method: self._study.results(name)[method] for method in summaries}
+            for name, summaries in self._summaries.items()
+        }
         items = self._per_set("overview", self._summaries, report.overview_table)
         if panels:
-            items += [
-                self._figure(
-                    "recall-curves",
-                    "Recall over the ADI threshold. The grey line is the paper's threshold, 5 mm.",
-                    self._figures.recall_curves(panels),
-                    self._pooled,
-                ),
-                self._figure(
-                    "recall-against-time",
-                    "Recall over the median time of a frame: up and left is better.",
-                    self._figures.recall_against_time(self._summaries),
-                    self._pooled,
-                ),
-            ]
+            caption = "Recall over the ADI threshold. The grey line is the paper's threshold, 5 mm."
+            svg = self._figures.recall_curves(panels)
+            items.append(self._figure("recall-curves", caption, svg, self._pooled))
+        if any(len(summaries) > 1 for summaries in self._summaries.values()):
+            caption = "Recall over the median time of a frame: up and left is better."
+            svg = self._figures.recall_against_time(self._summaries)
+            items.append(self._figure("recall-against-time", caption, svg, self._pooled))
         for name, results in panels.items():
             if self._reference in results and len(results) > 1:
                 table = report.difference_table(results, self._reference)
                 items.append(self._table(f"difference-{name}", name, table, results))
-        return Section("Methods", "", tuple(items))
+        text = (
+            f"The names of methods that are given the object's true pixels end with {UPPER_BOUND}: "
+            "an upper bound, which does not stand out in the tables."
+        )
+        bounded = any(m.endswith(UPPER_BOUND) for m in self._pooled)
+        return Section("Methods", text if bounded else "", tuple(items))
 
     def _objects(self) -> Section:
         items = self._per_set("objects", self._summaries, report.object_table)
@@ -165,15 +172,15 @@ class Contents:
         return Section("Ablation", text, (figure, *items))
 
     def _perturbations(self) -> Section:
-        perturbed = self._study.perturbed
         items = []
-        for name in self._study.data_sets if perturbed else []:
+        for name in self._study.data_sets:
             of = self._study.perturbed_results(name)
-            plain = self._study.results(name)
-            level = {self._reference: plain[self._reference]} if self._reference in plain else {}
+            if not of:
+                continue
+            level = {m: r for m, r in self._study.results(name).items() if m == self._reference}
             caption = (
-                f"{name}: recall of methods that were handicapped, over how much, with 95 % "
-                f"intervals; level lines: methods that were not."
+                f"{name}: recall of methods that start from the perturbed true pose, with 95 % "
+                "intervals. The level line is a method that does without."
             )
             svg = self._figures.perturbation_curves(of, level)
             items.append(self._figure(f"perturbation-{name}", caption, svg, [*of, *level]))
@@ -187,10 +194,11 @@ class Contents:
             return Section("Time", "", ())
         caption = "Mean time of every stage. Rest: what no stage accounts for."
         everywhere = "all data sets"
+        staged = {m: s for m, s in timed.items() if any(map(s["time"].get, POSE_STAGES))}
         items = (
             self._figure("time", caption, figures.time_bars(timed), timed),
             self._table("time-table", everywhere, report.time_table(timed), timed),
-            self._table("time-stages", everywhere, report.stage_time_table(timed), timed),
+            self._table("time-stages", everywhere, report.stage_time_table(staged), staged),
         )
         text = (
             "Wall clock of one estimate. The first frame of every object is run once more before "
@@ -210,7 +218,7 @@ class Contents:
         return Section("Hand", "", tuple(items))
 
     def _confidence(self) -> Section:
-        sure = _where(self._summaries, lambda s: s["confidence"]["auroc"]["value"] is not None)
+        sure = _where(self._summaries, lambda s: len(s["confidence"]["reliability"]) > 1)
         if not sure:
             return Section("Confidence", "", ())
         caption = (
@@ -224,21 +232,25 @@ class Contents:
         return Section("Confidence", "", (figure, *items))
 
     def _stages(self) -> Section:
-        items = []
-        for name, results in ((n, self._study.results(n)) for n in self._summaries):
-            staged = {m for m, of in results.items() if any(r.best_adi for r in of)}
-            for method in (m for m in results if m in staged):
-                table = report.stage_table(self._summaries[name][method]["stages"])
-                key = f"stages-{name}-{method}"
-                items.append(self._table(key, f"{name}, {method}", table, [method]))
+        staged = {
+            name: {m: s for m, s in of.items() if self._has_stages(name, m)}
+            for name, of in self._summaries.items()
+        }
+        staged = {name: summaries for name, summaries in staged.items() if summaries}
+        items = self._per_set("alive", staged, report.alive_table)
+        items += self._per_set("lost", staged, report.lost_table)
         text = (
             "A frame is lost at the stage after the last one that handed on a good pose (ADI below "
             "10 mm before refinement, 5 mm from there on)."
         )
         return Section("Where frames are lost", text, tuple(items))
 
+    def _has_stages(self, name: str, method: str) -> bool:
+        """Whether the method is a variant of the pipeline."""
+        return any(r.best_adi for r in self._study.results(name)[method])
+
     def _frames(self) -> Section:
-        items = self._per_set("frames", self._summaries, report.outcome_table)
+        items = self._per_set("frames", self._every_summary, report.outcome_table)
         failures = [
             (method, f["frame"], f["outcome"], f["reason"])
             for method, summary in self._pooled.items()
@@ -264,9 +276,11 @@ class Contents:
         methods: Iterable[str] | None = None,
     ) -> list[Item]:
         """One table a data set."""
+        made = {name: make(summaries) for name, summaries in panels.items()}
         return [
-            self._table(f"{key}-{name}", name, make(summaries), methods or summaries)
-            for name, summaries in panels.items()
+            self._table(f"{key}-{name}", name, table, methods or panels[name])
+            for name, table in made.items()
+            if len(table.columns) > 1
         ]
 
     def _table(self, key: str, of: str, table: Table, methods: Iterable[str]) -> Item:

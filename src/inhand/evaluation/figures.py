@@ -29,6 +29,7 @@ _STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#e3e3e3",
     "grid.linewidth": 0.6,
     "legend.fontsize": 8.0,
@@ -37,7 +38,8 @@ _STYLE: Any = {
     "lines.markersize": 4.0,
     "svg.hashsalt": "inhand",  # the same figure, the same file
 }
-_PANEL = (3.6, 2.7)
+_PANEL = (3.9, 3.0)
+_LEGEND = 1.6
 _SHARE = PercentFormatter(1.0, decimals=0)
 
 Panels = Mapping[str, Any]
@@ -70,7 +72,8 @@ class Figures:
         with _Sheet(panels, "ADI threshold [mm]", "recall") as sheet:
             for axes, results in sheet:
                 for method, of in results.items():
-                    errors = np.sort([math.inf if r.adi is None else r.adi for r in of])
+                    read = [r for r in of if r.outcome != "unreadable"]
+                    errors = np.sort([math.inf if r.adi is None else r.adi for r in read])
                     x = np.linspace(0, AREA_LIMIT, 201)
                     share = np.searchsorted(errors, x, side="left") / len(errors)
                     axes.plot(x * 1000, share, label=method, **self._look[method])
@@ -107,6 +110,7 @@ class Figures:
                     level = solved_share(of)["share"]
                     axes.axhline(level, label=method, linewidth=1, **self._look[method])
                 axes.set(title="", xlabel=f"{quantity} [{unit}]" if unit else quantity)
+                axes.set_xlim(left=0)
             return sheet.svg()
 
     def recall_against_time(self, panels: Mapping[str, Mapping[str, Summary]]) -> str:
@@ -119,6 +123,7 @@ class Figures:
                     if median is not None:
                         self._with_intervals(axes, [1000 * median], [share], method)
                 axes.set(xscale="log")
+                axes.xaxis.set_major_formatter("{x:g}")
             return sheet.svg()
 
     def reliability_curves(self, panels: Mapping[str, Mapping[str, Summary]]) -> str:
@@ -138,8 +143,8 @@ class Figures:
         with _Sheet(panels, "", "share below") as sheet:
             for (axes, methods), quantity in zip(sheet, panels, strict=True):
                 for method, errors in methods.items():
-                    x = np.sort(errors)
-                    y = (np.arange(len(x)) + 1) / len(x)
+                    x = np.sort([0.0, *errors])
+                    y = np.arange(len(x)) / len(errors)
                     look = self._look.get(method, {"color": "#999", "linestyle": "-"})
                     axes.step(x, y, where="post", label=method, **look)
                 largest = max(float(np.percentile(e, 95)) for e in methods.values())
@@ -196,7 +201,6 @@ def ablation_bars(panels: Mapping[str, Mapping[str, Summary]]) -> str:
             axes.grid(visible=False, axis="y")
             axes.set(xlim=(0, 1), ylim=None)
             axes.xaxis.set_major_formatter(_SHARE)
-            axes.yaxis.set_major_formatter(matplotlib.ticker.FixedFormatter(list(steps)))
         return sheet.svg()
 
 
@@ -213,7 +217,8 @@ class _Sheet:
         count = len(self._panels)
         columns = min(count, 3)
         rows = -(-count // columns)
-        self._figure = Figure(figsize=(columns * width, rows * height), layout="constrained")
+        size = (columns * width + _LEGEND, rows * height)
+        self._figure = Figure(figsize=size, layout="constrained")
         self._axes = self._figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in self._axes[count:]:
             axes.set_visible(False)
@@ -226,10 +231,10 @@ class _Sheet:
         """The axes of every panel with what it shows."""
         for axes, (title, content) in zip(self._axes, self._panels.items(), strict=False):
             axes.set(title=title, xlabel=self._x, ylabel=self._y)
-            if self._y:
+            yield axes, content
+            if self._y:  # every measured quantity is a share
                 axes.set(ylim=(-0.02, 1.02))
                 axes.yaxis.set_major_formatter(_SHARE)
-            yield axes, content
 
     def svg(self) -> str:
         """The figure, with a legend of everything that any panel shows."""

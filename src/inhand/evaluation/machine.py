@@ -25,7 +25,7 @@ def origin(device: str) -> dict[str, str]:
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "commit": commit() or "not in a repository",
         "processor": processor(),
-        "device": str(wp.get_device(device).name) if device.startswith("cuda") else device,
+        **({"gpu": str(wp.get_device(device).name)} if device.startswith("cuda") else {}),
         "memory": memory(),
         "system": f"{platform.system()} {platform.machine()}",
         "versions": ", ".join(

@@ -43,7 +43,7 @@ def make_report(
         reference = DEFAULT_REFERENCE if DEFAULT_REFERENCE in methods else methods[0]
     remarks = study.remarks()
     gallery = _gallery(study, reference, pictures, remarks) if pictures else []
-    sections = Contents(study, reference).sections()
+    sections = Contents(study.led_by(reference), reference).sections()
     return Report(
         title=title,
         facts=tuple(_facts(study)),

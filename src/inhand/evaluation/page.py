@@ -4,6 +4,7 @@ import base64
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +17,29 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1b1f24; max-width: 72rem; margin: 2rem auto;
   padding: 0 1.2rem; }
 h1 { font-size: 1.7rem; margin-bottom: .2rem; }
-h2 { font-size: 1.25rem; margin: 2.6rem 0 .6rem; padding-top: .6rem; border-top: 1px solid #d7dbe0; }
+h2 { font-size: 1.25rem; margin: 2.6rem 0 .6rem; padding-top: .6rem;
+  border-top: 1px solid #d7dbe0; }
 h3 { font-size: 1rem; margin: 1.6rem 0 .4rem; }
 nav { columns: 3 14rem; margin: 1rem 0; }
 nav a { display: block; }
 a { color: #0b5cad; text-decoration: none; }
 .wide { overflow-x: auto; }
+.tables { display: flex; flex-wrap: wrap; column-gap: 3rem; }
+.tables > div { max-width: 100%; }
+.tables .note { max-width: 46rem; }
 table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e6e9ed;
-  white-space: nowrap; }
-th { font-weight: 600; border-bottom: 1px solid #98a1ab; }
-th:first-child, td:first-child { text-align: left; }
-td:last-child.text { white-space: normal; }
+th, td { padding: .25rem .55rem; text-align: right; border-bottom: 1px solid #e6e9ed; }
+th { font-weight: 600; vertical-align: bottom; border-bottom: 1px solid #98a1ab; }
+th:first-child, td:first-child { text-align: left; padding-left: 0; }
+td { white-space: nowrap; }
 figure { margin: 1.2rem 0; }
 figure img { max-width: 100%; height: auto; }
 figcaption, .note, .made { font-size: .82rem; color: #57606a; margin: .3rem 0 0; }
 .remark { background: #fff6dd; border-left: 4px solid #e3a008; padding: .5rem .9rem; }
-.gallery { display: grid; grid-template-columns: repeat(auto-fill, minmax(220px, 1fr)); gap: 8px; }
+.gallery { display: grid; grid-template-columns: repeat(auto-fill, minmax(260px, 1fr)); gap: 8px; }
 .gallery img { width: 100%; display: block; }
-dl.run { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1rem; font-size: .85rem; }
+dl.run { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1rem;
+  font-size: .85rem; }
 dl.run dt { color: #57606a; }
 dl.run dd { margin: 0; overflow-wrap: anywhere; }
 code { font-size: .95em; }
@@ -85,11 +90,21 @@ def write_report(report: Report, folder: Path) -> list[Path]:
     }
     for item in _items(report):
         if isinstance(item.content, str):
-            files[folder / "figures" / f"{item.name}.svg"] = item.content
+            files[folder / "figures" / f"{item.name}.svg"] = _described(item, report.records)
     for path, text in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     return list(files)
+
+
+def _described(item: Item, records: Sequence[Record]) -> str:
+    """A figure for a file of its own, which says inside what it shows and what made it."""
+    lines = [item.caption]
+    for i in sorted(item.runs):
+        lines.append(f"Run {i + 1}:")
+        lines += [f"  {name}: {value}" for name, value in describe_run(records[i])]
+    description = escape("\n".join(lines))
+    return str(item.content).replace("<metadata>", f"<desc>{description}</desc>\n <metadata>", 1)
 
 
 def _items(report: Report) -> Iterable[Item]:
@@ -119,7 +134,12 @@ def _page(report: Report) -> str:
 
 def _section(section: Section) -> str:
     text = f"<p>{escape(section.text)}</p>" if section.text else ""
-    return "\n".join([_heading(section.title), text, *map(_item, section.items)])
+    parts = []
+    # Tables that follow each other stand side by side where there is room.
+    for is_table, items in groupby(section.items, lambda item: isinstance(item.content, Table)):
+        blocks = "\n".join(map(_item, items))
+        parts.append(f"<div class=tables>{blocks}</div>" if is_table else blocks)
+    return "\n".join([_heading(section.title), text, *parts])
 
 
 def _heading(title: str) -> str:
@@ -133,7 +153,7 @@ def _anchor(title: str) -> str:
 def _item(item: Item) -> str:
     made = _made_by(item.runs)
     if isinstance(item.content, Table):
-        return f"<h3>{escape(item.caption)}</h3>\n{tables.html(item.content)}{made}"
+        return f"<div><h3>{escape(item.caption)}</h3>\n{tables.html(item.content)}{made}</div>"
     image = _image(item.content.encode(), "svg+xml", item.caption)
     return f"<figure>{image}<figcaption>{escape(item.caption)}</figcaption>{made}</figure>"
 

@@ -9,9 +9,10 @@ from typing import Any
 from rich.console import Console
 
 from inhand.evaluation import tables
+from inhand.evaluation.diagnosis import POSE_STAGES, STAGES
 from inhand.evaluation.results import JOINT_PIXELS
 from inhand.evaluation.statistics import Estimate, mean
-from inhand.evaluation.study import UNITS, by_quantity
+from inhand.evaluation.study import UNITS, UPPER_BOUND, by_quantity
 from inhand.evaluation.summary import (
     AREA_LIMIT,
     THRESHOLDS,
@@ -61,7 +62,7 @@ def method_tables(summary: Summary) -> list[Table]:
     found = (
         _recall_table(summary["recall"]),
         _error_table(summary),
-        stage_table(summary["stages"]),
+        _stage_table(summary["stages"]),
         _time_table(summary["time"]),
     )
     return [table for table in found if table.rows]
@@ -105,8 +106,7 @@ def _error_table(summary: Summary) -> Table:
     return Table("Errors", ("", "count", "median", "95 %"), tuple(rows))
 
 
-def stage_table(stages: Mapping[str, Any]) -> Table:
-    """The share of frames with a good pose behind every stage, and what each lost."""
+def _stage_table(stages: Mapping[str, Any]) -> Table:
     rows = tuple(
         (stage, _percent(row["alive"], 0) if row["alive"] else "", str(row["lost"] or ""))
         for stage, row in stages.items()
@@ -135,10 +135,12 @@ class _Column:
 
 
 def _compare(title: str, summaries: Summaries, columns: Sequence[_Column], note: str = "") -> Table:
-    """One row a method; the best cell of a column stands out."""
+    """One row a method; the best cell of a column stands out, upper bounds left aside."""
     rows = [[name, *(c.cell(s) for c in columns)] for name, s in summaries.items()]
     for i, column in enumerate(columns, start=1):
-        ranks = [column.rank(s) for s in summaries.values()]
+        ranks = [
+            None if name.endswith(UPPER_BOUND) else column.rank(s) for name, s in summaries.items()
+        ]
         known = [r for r in ranks if r is not None]
         for row, rank in zip(rows, ranks, strict=True):
             if len(known) > 1 and rank == max(known) > min(known):
@@ -165,12 +167,10 @@ def _share_column(head: str, *keys: str) -> _Column:
     return _Column(head, lambda s: _percent(find(s)), _at(*keys, "share"))
 
 
-def _mean_column(head: str, *keys: str, scale: float = 100, decimals: int = 1) -> _Column:
-    """A mean, or a statistic such, and its interval."""
+def _mean_column(head: str, *keys: str) -> _Column:
+    """A mean of shares, or a statistic that is one, and its interval."""
     find = _at(*keys)
-    return _Column(
-        head, lambda s: _interval(Estimate(**find(s)), scale, decimals), _at(*keys, "value")
-    )
+    return _Column(head, lambda s: _interval(Estimate(**find(s))), _at(*keys, "value"))
 
 
 def _error_column(head: str, *keys: str, scale: float = 1, decimals: int = 1) -> _Column:
@@ -185,7 +185,7 @@ def _error_column(head: str, *keys: str, scale: float = 1, decimals: int = 1) ->
 
 def _count_column(head: str, *keys: str) -> _Column:
     find = _at(*keys)
-    return _Column(head, lambda s: str(find(s)))
+    return _Column(head, lambda s: str(find(s) or 0))
 
 
 _IN_PERCENT = "In %, with the 95 % interval in brackets."
@@ -209,9 +209,9 @@ def object_table(summaries: Summaries) -> Table:
     """Recall at 5 mm by object, with the mean over objects and over frames."""
     names = sorted({name for s in summaries.values() for name in s["recall"]["object"]})
     columns = [
-        *(_share_column(name, "recall", "object", name, "5 mm") for name in names),
+        _share_column("mean of frames", "recall", "all", "5 mm"),
         _mean_column("mean of objects", "measures", "recall", "objects"),
-        _mean_column("mean of frames", "measures", "recall", "frames"),
+        *(_share_column(name, "recall", "object", name, "5 mm") for name in names),
     ]
     return _compare("Recall by object (ADI < 5 mm)", summaries, columns, _IN_PERCENT)
 
@@ -230,7 +230,6 @@ def visible_table(summaries: Summaries) -> Table:
 def measure_table(summaries: Summaries) -> Table:
     """The other measures in use beside the paper's."""
     heads = {
-        "recall": "ADI < 5 mm",
         "recall from truth": "ADI from truth < 5 mm",
         "recall ADD": "ADD < 5 mm",
         "VSD": "AR VSD",
@@ -239,6 +238,7 @@ def measure_table(summaries: Summaries) -> Table:
         "BOP": "AR (BOP)",
     }
     columns = [
+        _share_column("ADI < 5 mm", "recall", "all", "5 mm"),
         *(_mean_column(head, "measures", name, "frames") for name, head in heads.items()),
         _error_column("median ADI [mm]", "pose_error", "adi", "median", scale=1000),
     ]
@@ -250,12 +250,13 @@ def time_table(summaries: Summaries) -> Table:
     """How long a frame takes."""
     numbers = {"mean": "mean", "deviation": "deviation", "median": "median"}
     numbers |= {"p95": "95 %", "p99": "99 %"}
+    memory = _at("peak_memory")
     columns = [
         *(
             _error_column(head, "time", "whole estimate", key, scale=1000)
             for key, head in numbers.items()
         ),
-        _error_column("peak memory [GiB]", "peak_memory", scale=2**-30, decimals=2),
+        _Column("peak memory [GiB]", lambda s: _number(memory(s), 2**-30, 2)),
     ]
     note = (
         "In ms. The memory is that of the whole process, with the scoring and all methods that "
@@ -265,58 +266,80 @@ def time_table(summaries: Summaries) -> Table:
 
 
 def stage_time_table(summaries: Summaries) -> Table:
-    """How long every stage takes: mean and deviation."""
+    """How long every stage takes, one column a method."""
     stages = dict.fromkeys(stage for s in summaries.values() for stage in s["time"])
     stages["whole estimate"] = stages.pop("whole estimate", None)
 
-    def cell(stage: str) -> Callable[[Summary], str]:
-        find = _at("time", stage)
+    def cell(spread: Mapping[str, Any]) -> str:
+        if not spread.get("count"):
+            return NOTHING
+        return " ± ".join(_number(spread[k], 1000, 1) for k in ("mean", "deviation"))
 
-        def text(summary: Summary) -> str:
-            spread = find(summary)
-            if spread is None or not spread["count"]:
-                return NOTHING
-            return " ± ".join(_number(spread[k], 1000, 1) for k in ("mean", "deviation"))
-
-        return text
-
-    columns = [_Column(stage, cell(stage)) for stage in stages]
-    return _compare("Time by stage", summaries, columns, "Mean ± standard deviation in ms.")
+    rows = tuple(
+        (stage, *(cell(s["time"].get(stage, {})) for s in summaries.values())) for stage in stages
+    )
+    note = "Mean ± standard deviation in ms."
+    return Table("Time by stage", ("stage", *summaries), rows, note)
 
 
 def hand_table(summaries: Summaries) -> Table:
-    """Errors of the hand's state, of the methods that estimate it."""
-    quantities = {
-        "joint angle [deg]": (("finger_error", "all"), _DEGREE),
-        "given wrist [mm]": (("wrist_error", "given", "translation"), 1000),
-        "wrist [mm]": (("wrist_error", "answer", "translation"), 1000),
-        "given wrist [deg]": (("wrist_error", "given", "rotation"), _DEGREE),
-        "wrist [deg]": (("wrist_error", "answer", "rotation"), _DEGREE),
-    }
+    """Errors of the hand's state."""
+
+    def column(head: str, scale: float, *keys: str) -> _Column:
+        find = _at(*keys)
+        return _Column(
+            head,
+            lambda s: " / ".join(_number(find(s)[k], scale, 1) for k in ("median", "p95")),
+            lambda s: None if find(s)["median"] is None else -find(s)["median"],
+        )
+
     columns = [
-        _error_column(f"{name}, {head}", *keys, key, scale=scale)
-        for name, (keys, scale) in quantities.items()
-        for key, head in (("median", "median"), ("p95", "95 %"))
+        column("joint angles [deg]", _DEGREE, "finger_error", "all"),
+        column("wrist [mm]", 1000, "wrist_error", "answer", "translation"),
+        column("as given [mm]", 1000, "wrist_error", "given", "translation"),
+        column("wrist [deg]", _DEGREE, "wrist_error", "answer", "rotation"),
+        column("as given [deg]", _DEGREE, "wrist_error", "given", "rotation"),
     ]
-    estimated = {n: s for n, s in summaries.items() if s["finger_error"]["all"]["count"]}
-    note = f"Joints whose link shows more than {JOINT_PIXELS} pixels."
-    return _compare("Hand state", estimated, columns, note)
+    note = (
+        f"Median / 95 % quantile. Of the joints, those whose link shows more than {JOINT_PIXELS} "
+        "pixels count."
+    )
+    return _compare("Errors of the hand", summaries, columns, note)
+
+
+def alive_table(summaries: Summaries) -> Table:
+    """The share of frames for which every stage handed on a good pose."""
+    stages = [s for s in POSE_STAGES if any(s in m["stages"] for m in summaries.values())]
+    columns = [_share_column(stage, "stages", stage, "alive") for stage in stages]
+    return _compare("Frames with a good pose after a stage", summaries, columns, _IN_PERCENT)
+
+
+def lost_table(summaries: Summaries) -> Table:
+    """How many frames every stage lost."""
+    stages = (*STAGES, "error")
+    losing = [
+        stage
+        for stage in stages
+        if any(m["stages"].get(stage, {}).get("lost") for m in summaries.values())
+    ]
+    columns = [_count_column(stage, "stages", stage, "lost") for stage in losing]
+    return _compare("Frames lost at a stage", summaries, columns)
 
 
 def confidence_table(summaries: Summaries) -> Table:
     """How much the confidence is worth."""
     columns = [
-        _mean_column("AUROC", "confidence", "auroc", scale=1, decimals=2),
-        _error_column("calibration error", "confidence", "calibration_error", decimals=2),
+        _mean_column("AUROC", "confidence", "auroc"),
+        _error_column("calibration error", "confidence", "calibration_error", scale=100),
         _share_column("ADI < 5 mm, first answer", "recall", "all", "5 mm"),
         _share_column("best of the first 3", "top3_recall"),
     ]
     note = (
-        "AUROC: chance that a right answer (ADI < 5 mm) has a higher confidence than a wrong one. "
-        "Calibration error: mean gap between the confidence and the share of right answers."
+        f"{_IN_PERCENT} AUROC: chance that a right answer (ADI < 5 mm) has a higher confidence "
+        "than a wrong one. Calibration error: mean gap between the confidence and the share of "
+        "right answers."
     )
-    sure = {n: s for n, s in summaries.items() if s["confidence"]["auroc"]["value"] is not None}
-    return _compare("Confidence", sure, columns, note)
+    return _compare("Confidence", summaries, columns, note)
 
 
 def outcome_table(summaries: Summaries) -> Table:
@@ -384,11 +407,13 @@ def _percent(share: Mapping[str, Any] | None, decimals: int = 1) -> str:
     return _interval(estimate, decimals=decimals)
 
 
-def _interval(estimate: Estimate, scale: float = 100, decimals: int = 1) -> str:
-    if estimate.value is None:
+def _interval(estimate: Estimate, decimals: int = 1) -> str:
+    """A share in percent with its interval."""
+    if estimate.value is None or estimate.low is None:
         return NOTHING
-    value, low, high = (_number(x, scale, decimals) for x in estimate)
-    return f"{value} ({low}-{high})"
+    value = _number(estimate.value, 100, decimals)
+    low, high = (_number(x, 100, 0) for x in estimate[1:])
+    return f"{value} ({low} to {high})" if estimate.low < 0 else f"{value} ({low}-{high})"
 
 
 def _number(value: float | None, scale: float, decimals: int, unit: str = "") -> str:

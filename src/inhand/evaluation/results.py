@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -185,6 +185,12 @@ class Ledger:
                 self._origin = None
             file.write(json.dumps(asdict(result)) + "\n")
         self.results[result.frame] = result
+
+    def record(self, results: Iterable[FrameResult]) -> Iterator[FrameResult]:
+        """Results as they come, each written before it is handed on."""
+        for result in results:
+            self.append(result)
+            yield result
 
     def _load(self, settings: Mapping[str, Any]) -> None:
         record = read_results(self.path)

@@ -1,6 +1,6 @@
 """How sure a share, a mean or a confidence is."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,25 +73,33 @@ def auroc(scores: ArrayLike, correct: ArrayLike) -> float | None:
 
 
 def mean(values: ArrayLike, groups: Sequence[Hashable] | None = None, seed: int = 0) -> Estimate:
-    """Mean of the group means, every group counting alike; without groups the plain mean.
+    """Mean of the group means of one quantity: see `means`."""
+    return means({"": values}, groups, seed)[""]
 
-    The interval is the bootstrap's (Efron 1979, percentiles), resampled within the groups.
+
+def means(
+    quantities: Mapping[str, ArrayLike], groups: Sequence[Hashable] | None = None, seed: int = 0
+) -> dict[str, Estimate]:
+    """Means of the group means, every group counting alike; without groups plain means.
+
+    The intervals are the bootstrap's (Efron 1979, percentiles), resampled within the groups.
 
     Args:
-        values: shape (n,).
+        quantities: values by name, each of shape (n,).
         groups: group of each value, length n.
         seed: seed of the resampling.
     """
-    v = np.asarray(values, dtype=np.float64)
-    if not len(v):
-        return Estimate(None, None, None)
-    members = _members(len(v), groups)
-    weight = np.empty(len(v))
+    table = np.array([np.asarray(v, dtype=np.float64) for v in quantities.values()])  # (k, n)
+    if not table.size:
+        return dict.fromkeys(quantities, Estimate(None, None, None))
+    members = _members(table.shape[1], groups)
     for group in members:
-        weight[group] = 1 / len(members) / len(group)
-    weighted = weight * v
-    means = weighted[_resamples(members, seed)].sum(axis=1)
-    return Estimate(float(weighted.sum()), *_percentiles(means))
+        table[:, group] /= len(members) * len(group)
+    resampled = np.array([table @ drawn for drawn in _draws(members, seed)])  # (RESAMPLES, k)
+    return {
+        name: Estimate(float(values.sum()), *_percentiles(resampled[:, i]))
+        for i, (name, values) in enumerate(zip(quantities, table, strict=True))
+    }
 
 
 def bootstrap(
@@ -105,8 +113,11 @@ def bootstrap(
     value = statistic(*columns)
     if value is None:
         return Estimate(None, None, None)
-    picks = _resamples(_members(len(columns[0]), None), seed)
-    found = [statistic(*(column[pick] for column in columns)) for pick in picks]
+    every = np.arange(len(columns[0]))
+    found = []
+    for drawn in _draws([every], seed):
+        pick = np.repeat(every, drawn)
+        found.append(statistic(*(column[pick] for column in columns)))
     return Estimate(value, *_percentiles([f for f in found if f is not None]))
 
 
@@ -118,12 +129,13 @@ def _members(count: int, groups: Sequence[Hashable] | None) -> list[NDArray[np.i
     return [np.array(indices) for indices in by_group.values()]
 
 
-def _resamples(members: list[NDArray[np.int64]], seed: int) -> NDArray[np.int64]:
-    """Indices drawn with replacement within the groups, shape (RESAMPLES, n)."""
+def _draws(members: list[NDArray[np.int64]], seed: int) -> Iterator[NDArray[np.int64]]:
+    """How often each of n things is drawn in each of the resamples, shape (n,)."""
     rng = np.random.default_rng(seed)
-    return np.concatenate(
-        [group[rng.integers(len(group), size=(RESAMPLES, len(group)))] for group in members], axis=1
-    )
+    n = sum(map(len, members))
+    for _ in range(RESAMPLES):
+        drawn = np.concatenate([g[rng.integers(len(g), size=len(g))] for g in members])
+        yield np.bincount(drawn, minlength=n)
 
 
 def _percentiles(values: ArrayLike) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from inhand.errors import InputError
@@ -11,6 +11,8 @@ from inhand.evaluation.summary import Results, data_set
 
 ABLATION = "ablation-"
 """Names of methods that are steps of the ablation begin with this."""
+UPPER_BOUND = "+mask"
+"""Names of methods that are given the object's true pixels end with this."""
 UNITS = {"translation": ("mm", 1000.0), "rotation": ("deg", math.degrees(1))}
 """Units in which perturbations are shown, and how many of them are one in SI units."""
 
@@ -33,6 +35,11 @@ class Study:
         """Names of the data sets, sorted."""
         results = [*self.by_method.values(), *self.perturbed.values()]
         return sorted({data_set(r) for of_method in results for r in of_method})
+
+    def led_by(self, method: str) -> "Study":
+        """The study with one method before the others."""
+        order = sorted(self.by_method, key=lambda m: m != method)
+        return replace(self, by_method={m: self.by_method[m] for m in order})
 
     def results(self, name: str, *, ablation: bool = False) -> Results:
         """Results on one data set, of the methods or of the ablation's steps."""

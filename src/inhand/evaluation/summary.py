@@ -13,7 +13,7 @@ from inhand.evaluation.statistics import (
     auroc,
     bootstrap,
     calibration_error,
-    mean,
+    means,
     reliability,
     wilson_interval,
 )
@@ -139,15 +139,12 @@ def _visible_bin(result: FrameResult) -> str:
 
 def _measures(results: Sequence[FrameResult]) -> dict[str, dict[str, Any]]:
     """Mean over the frames, and over the objects, of what every frame adds."""
-    objects = [r.object_name for r in results]
-    table = {}
-    for name, measure in _MEASURES.items():
-        values = [float(measure(r)) for r in results]
-        table[name] = {
-            "frames": mean(values)._asdict(),
-            "objects": mean(values, objects)._asdict(),
-        }
-    return table
+    values = {name: [float(of(r)) for r in results] for name, of in _MEASURES.items()}
+    over_frames, over_objects = means(values), means(values, [r.object_name for r in results])
+    return {
+        name: {"frames": over_frames[name]._asdict(), "objects": over_objects[name]._asdict()}
+        for name in _MEASURES
+    }
 
 
 def _spread(values: Iterable[float | None]) -> dict[str, Any]:

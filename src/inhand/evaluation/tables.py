@@ -58,7 +58,7 @@ def html(table: Table) -> str:
     """The table for a page, without its title."""
 
     def cell(text: str, tag: str = "td") -> str:
-        inside = escape(text)
+        inside = escape(text).replace("_", "_<wbr>")
         if isinstance(text, Best):
             inside = f"<b>{inside}</b>"
         return f"<{tag}>{inside}</{tag}>"

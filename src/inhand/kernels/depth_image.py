@@ -122,11 +122,15 @@ def missing_share(
     share[i] = 0.0
     if depth[i] > 0.0:
         return
-    step = wp.max(1, radius // 2)
+    step = wp.max(1, radius // 3)
     missing = int(0)
     total = int(0)
-    for y in range(wp.max(v - radius, 0), wp.min(v + radius + 1, height), step):
-        for x in range(wp.max(u - radius, 0), wp.min(u + radius + 1, width), step):
+    for dv in range(-(radius // step), radius // step + 1):
+        for du in range(-(radius // step), radius // step + 1):
+            x = u + du * step
+            y = v + dv * step
+            if x < 0 or y < 0 or x >= width or y >= height:
+                continue
             total += 1
             if depth[y * width + x] <= 0.0:
                 missing += 1

@@ -4,6 +4,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+# Cosine of the angle that jitter and noise explain between a scene normal and the model's, 35 deg.
+MIN_NORMAL_AGREEMENT = wp.constant(0.82)
+
 
 @wp.struct
 class PairTable:
@@ -112,6 +115,11 @@ def match_pairs(
         R = scene @ wp.transpose(model)
         if wp.determinant(R) < 0.5:
             continue  # both normals along the pair: nothing fixes the rotation about it
+        # A pair and its mirror image have the same feature; only one of them lays the normals on.
+        if wp.dot(R @ table.normals[i], n1) < MIN_NORMAL_AGREEMENT:
+            continue
+        if wp.dot(R @ table.normals[j], n2) < MIN_NORMAL_AGREEMENT:
+            continue
         t = middle - R @ (0.5 * (table.points[i] + table.points[j]))
         T_camera_object[k * matches + m] = wp.mat44(
             R[0, 0], R[0, 1], R[0, 2], t[0],

@@ -36,7 +36,7 @@ OVERLAP = 0.001
 """Two fingers, or a finger and the palm, may overlap by this before they count as colliding [m]."""
 PLACEMENTS, BATCH = 4096, 32
 """Attempts to place the object before giving up, and how many are looked at at once."""
-FEW_SAMPLES = 96
+FEW_SAMPLES = 48
 """Surface samples of a body for a first look; a contact is found with all of them."""
 EXACT = -1e6
 """A distance below all others: every gap is exact [m]."""

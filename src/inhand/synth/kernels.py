@@ -24,7 +24,8 @@ class Bodies:
     eye: wp.array(dtype=wp.vec3)
     """Place of the camera in the body's frame [m]."""
     sphere: wp.array(dtype=wp.vec4)
-    """Bounding sphere, camera frame (centre, radius) [m]."""
+    """Bounding sphere, camera frame: its centre [m], and the square of the centre's distance from
+    the camera minus the square of the radius [m^2]."""
     colour: wp.array(dtype=wp.vec3)
     """Red, green, blue, 0 to 1."""
 
@@ -61,10 +62,8 @@ def render_layers(camera: Pinhole, bodies: Bodies, lamp: wp.vec3, layers: Layers
     normal = wp.vec3(0.0, 0.0, 0.0)
     for b in range(bodies.mesh.shape[0]):
         s = bodies.sphere[b]
-        centre = wp.vec3(s[0], s[1], s[2])
-        along = wp.dot(centre, ray)
-        miss = centre - along * ray
-        if along - s[3] < nearest and wp.dot(miss, miss) < s[3] * s[3]:
+        along = wp.dot(wp.vec3(s[0], s[1], s[2]), ray)
+        if along * along > s[3] and (along > 0.0 or s[3] < 0.0):
             R = bodies.R_body_camera[b]
             hit = wp.mesh_query_ray(bodies.mesh[b], bodies.eye[b], R * ray, nearest)
             if hit.result:

@@ -150,6 +150,7 @@ class SceneRenderer:
         spheres = self._spheres[index].copy()
         spheres[:, :3] = np.einsum("bij,bj->bi", poses[:, :3, :3], spheres[:, :3])
         spheres[:, :3] += poses[:, :3, 3]
+        spheres[:, 3] = (spheres[:, :3] ** 2).sum(axis=1) - spheres[:, 3] ** 2
         b = Bodies()
         ids = [self._meshes[i].id for i in index]
         b.mesh = wp.array(ids, dtype=wp.uint64, device=device)

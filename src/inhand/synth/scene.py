@@ -217,13 +217,24 @@ class SceneMaker:
         )
 
     def _promises(self, grasp: Grasp, T_camera_hand: Array, visible: tuple[float, float]) -> bool:
-        """Whether a coarse image of the view fits the protocol."""
-        camera = self.camera.subsampled(FIRST_LOOK)
+        """Whether a coarse image of the object's surroundings fits the protocol."""
         T_camera_object = T_camera_hand @ grasp.T_hand_object
+        camera = self._around_object(T_camera_object).subsampled(FIRST_LOOK)
         T_camera_link = T_camera_hand @ self.hand.forward_kinematics(grasp.q)
         images = self._renderer.render(camera, T_camera_object, T_camera_link)
         silhouette = self._renderer.silhouette_pixels(camera, T_camera_object, images)
         return _fits(images, silhouette, visible, MIN_PIXELS / FIRST_LOOK**2)
+
+    def _around_object(self, T_camera_object: Array) -> Camera:
+        """The camera of the part of the image that may show the object."""
+        camera = self.camera
+        centre = se3.transform(T_camera_object, self.obj.centre[None])
+        radius = self.obj.diameter  # about twice what is needed
+        reach = camera.fx * radius / max(float(centre[0, 2]) - radius, NEAREST)
+        (u, v) = camera.project(centre)[0]
+        u0, u1 = np.clip([u - reach, u + reach], 0, camera.width).astype(int)
+        v0, v1 = np.clip([v - reach, v + reach], 0, camera.height).astype(int)
+        return camera.crop(int(u0), int(v0), max(int(u1 - u0), 1), max(int(v1 - v0), 1))
 
     def _look_from(self, viewpoint: Array, rng: np.random.Generator) -> Array:
         """`T_camera_hand`, (4, 4), of a camera that looks about at the centre of the hand's reach.

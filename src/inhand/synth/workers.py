@@ -1,15 +1,16 @@
 """Making the images of a data set in this process, in several, or on a Ray cluster."""
 
-import importlib
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 
+from inhand.cluster import map_on_ray
 from inhand.errors import InputError
 from inhand.synth.dataset import Plan, Workshop
 
@@ -59,40 +60,22 @@ def make_in_processes(
 
 
 def make_on_ray(folder: Path, plan: Plan, jobs: Sequence[Job], device: str) -> Iterator[int]:
-    """As `make_here`, with an actor for every CPU of a Ray cluster.
-
-    `RAY_ADDRESS` names the cluster; without it, Ray starts on this machine. All its machines must
-    see the data set's folder, the hand and the objects under the same paths.
+    """As `make_here`, with a worker for every CPU of a Ray cluster: see `cluster.map_on_ray`.
 
     Raises:
-        InputError: Ray is not installed.
+        InputError: Ray is not installed, or a worker died.
     """
-    try:
-        ray = importlib.import_module("ray")
-    except ImportError as error:
-        raise InputError('--ray needs Ray: pip install "inhand[ray]"') from error
-    ours = not ray.is_initialized()
-    if ours:
-        ray.init(log_to_driver=False)
-    try:
-        count = max(1, int(ray.cluster_resources().get("CPU", 1)))
-        actor = ray.remote(_RayWorker)
-        actors = [actor.remote(folder.resolve(), plan, device) for _ in range(count)]
-        pool = importlib.import_module("ray.util").ActorPool(actors)
-        yield from pool.map_unordered(lambda a, chunk: a.make.remote(chunk), _chunks(jobs))
-    finally:
-        if ours:
-            ray.shutdown()
+    return map_on_ray(partial(_chunk_maker, folder.resolve(), plan, device), _chunks(jobs))
 
 
-class _RayWorker:
-    def __init__(self, folder: Path, plan: Plan, device: str) -> None:
-        self._workshop = Workshop(folder, plan, device)
+def _chunk_maker(folder: Path, plan: Plan, device: str) -> Callable[[Sequence[Job]], int]:
+    return partial(_make_with, Workshop(folder, plan, device))
 
-    def make(self, chunk: Sequence[Job]) -> int:
-        for job in chunk:
-            self._workshop.make(*job)
-        return len(chunk)
+
+def _make_with(workshop: Workshop, chunk: Sequence[Job]) -> int:
+    for job in chunk:
+        workshop.make(*job)
+    return len(chunk)
 
 
 def _chunks(jobs: Sequence[Job]) -> list[Sequence[Job]]:
@@ -116,6 +99,4 @@ def _end_with_parent() -> None:
 
 def _make_chunk(chunk: Sequence[Job]) -> int:
     assert _workshop is not None
-    for job in chunk:
-        _workshop.make(*job)
-    return len(chunk)
+    return _make_with(_workshop, chunk)

@@ -1,0 +1,178 @@
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from held_object import HeldObject, distance_to_hand, held_object
+
+from inhand.config import EvidenceConfig
+from inhand.geometry.se3 import exp, transform
+from inhand.packed import device_poses
+from inhand.stages.evidence import (
+    Evidence,
+    contact_penalty,
+    gather_evidence,
+    score,
+    score_with_contact,
+)
+from inhand.stages.results import HandState
+
+CONFIG = EvidenceConfig()
+SAMPLES: dict[str, Any] = {"model_points": 300, "segment_points": 300, "tolerance": 0.004}
+
+
+def evidence_of(
+    scene: HeldObject, state: HandState | None = None, config: EvidenceConfig = CONFIG
+) -> Evidence:
+    return gather_evidence(
+        scene.observation, state or scene.hand_state, scene.segment, scene.hand, config
+    )
+
+
+def penalties(
+    scene: HeldObject,
+    T: np.ndarray,
+    state: HandState | None = None,
+    points: int = 1000,
+    config: EvidenceConfig = CONFIG,
+) -> np.ndarray:
+    evidence = evidence_of(scene, state, config)
+    return contact_penalty(evidence, scene.obj, device_poses(T, "cpu"), len(T), points)
+
+
+def unsure_of(scene: HeldObject, *links: int) -> HandState:
+    """The true hand, but the image does not support some links."""
+    certain = np.ones(len(scene.hand.hand.links), dtype=bool)
+    certain[list(links)] = False
+    return replace(scene.hand_state, certain=certain)
+
+
+def around(scene: HeldObject, count: int) -> np.ndarray:
+    """Poses up to some centimetres from the true one, the first of them."""
+    motions = np.random.default_rng(0).normal(0, 1, (count, 6)) * ([0.5] * 3 + [0.03] * 3)
+    motions[0] = 0
+    return np.asarray(scene.T_camera_object @ exp(motions))
+
+
+def clearances(scene: HeldObject, T: np.ndarray) -> np.ndarray:
+    """Smallest signed distances [m] of posed objects to the hand, by brute force."""
+    points = scene.obj.model.surface.points[:1000]
+    return np.array(
+        [distance_to_hand(transform(x, points), scene.hand, scene.hand_state).min() for x in T]
+    )
+
+
+def test_an_object_that_touches_the_hand_costs_nothing() -> None:
+    scene = held_object("cuboid")
+    T = around(scene, 300)
+    clearance, penalty = clearances(scene, T), penalties(scene, T)
+    assert (penalty >= 0).all()
+    deep = clearance < -CONFIG.free_penetration - 0.001
+    away = clearance > CONFIG.free_gap + 0.001
+    assert deep.sum() > 20
+    assert away.sum() > 20
+    assert (penalty[deep | away] > 0).all()
+    assert (penalty[~deep & ~away & (np.abs(clearance) < 0.001)] == 0).any()
+    assert penalty[0] == 0
+
+
+def moved(scene: HeldObject, axis: int, steps: np.ndarray) -> np.ndarray:
+    """The true pose, moved along an axis of the hand [m]."""
+    T = np.tile(scene.T_camera_object, (len(steps), 1, 1))
+    T[:, :3, 3] += steps[:, None] * scene.hand_state.T_camera_hand[:3, axis]
+    return T
+
+
+def test_the_penalty_grows_with_the_gap() -> None:
+    """The object moves out of the plane of the fingers."""
+    scene = held_object("cuboid")
+    steps = np.linspace(0.06, 0.3, 20)
+    penalty = penalties(scene, moved(scene, 1, steps))
+    assert (np.diff(penalty) >= 0).all()
+    assert penalty[-1] > penalty[0] + 0.5
+    assert penalties(scene, moved(scene, 1, np.array([2.0])))[0] == penalty[-1]  # cut off
+
+
+def test_the_penalty_grows_with_the_penetration() -> None:
+    """The object moves into the palm."""
+    scene = held_object("cuboid")
+    T = moved(scene, 2, np.linspace(-0.04, -0.1, 15))
+    config = replace(CONFIG, seen_finger_apart=0.0)
+    depth, penalty = -clearances(scene, T), penalties(scene, T, config=config)
+    order = np.argsort(depth)
+    assert np.ptp(depth) > 0.015
+    assert (np.diff(penalty[order]) >= -1e-6).all()
+    assert penalty[order][-1] > 0.5
+
+
+def test_nothing_is_known_of_links_that_the_image_does_not_support() -> None:
+    """The object is in the middle of a finger's last link."""
+    scene = held_object("cuboid")
+    links = scene.hand.hand.fingers[0].links
+    T = scene.T_camera_object.copy()
+    T[:3, 3] = transform(scene.hand_state.T_camera_link[links[-1]], np.array([[0, 0, 0.025]]))[0]
+    sure = penalties(scene, T[None])[0]
+    unsure = penalties(scene, T[None], unsure_of(scene, *links))[0]
+    assert 0 <= unsure < sure
+
+
+def test_a_gap_may_hide_a_link_whose_place_is_unknown() -> None:
+    scene = held_object("cuboid")
+    T = moved(scene, 1, np.array([0.07]))
+    assert clearances(scene, T)[0] > CONFIG.free_gap
+    fingers = [i for f in scene.hand.hand.fingers for i in f.links]
+    assert 0 <= penalties(scene, T, unsure_of(scene, *fingers))[0] < penalties(scene, T)[0]
+
+
+def test_more_contact_points_than_the_model_has_are_all_of_them() -> None:
+    scene = held_object("cuboid")
+    T = around(scene, 20)
+    np.testing.assert_array_equal(
+        penalties(scene, T, points=len(scene.obj.points)), penalties(scene, T, points=10**7)
+    )
+
+
+def test_the_score_with_contact_is_the_score_less_the_penalty() -> None:
+    scene = held_object("industrial_part")
+    T = around(scene, 40)
+    evidence = evidence_of(scene)
+    found = score_with_contact(evidence, scene.obj, T, contact_points=200, **SAMPLES)
+    plain = score(evidence, scene.obj, device_poses(T, "cpu"), np.arange(40), **SAMPLES)
+    np.testing.assert_allclose(found, plain - penalties(scene, T, points=200), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["industrial_part", "cuboid", "cylinder"])
+def test_no_pose_nearby_explains_the_image_better_than_the_true_one(name: str) -> None:
+    scene = held_object(name)
+    T = around(scene, 200)
+    found = score_with_contact(evidence_of(scene), scene.obj, T, contact_points=200, **SAMPLES)
+    assert found.argmax() == 0
+    assert found[0] > 0.5
+
+
+def test_links_without_support_do_not_hide_the_object() -> None:
+    """Rendered where the image shows empty space, a link would excuse wrong poses."""
+    scene = held_object("cuboid")
+    links = scene.hand.hand.fingers[0].links
+    with_links = evidence_of(scene).arrays.hand_depth.numpy()
+    without = evidence_of(scene, unsure_of(scene, *links)).arrays.hand_depth.numpy()
+    camera = scene.observation.camera.subsampled(CONFIG.hand_step)
+    assert len(without) == camera.width * camera.height
+    assert (without > 0).sum() < (with_links > 0).sum()
+    others = np.ones(len(scene.hand.hand.links), dtype=bool)
+    others[list(links)] = False
+    expected = scene.hand.render(camera, scene.hand_state.T_camera_link, others).numpy()
+    np.testing.assert_array_equal(without, expected)
+
+
+def test_every_segment_point_is_part_of_the_evidence() -> None:
+    scene = held_object("cuboid")
+    evidence = evidence_of(scene)
+    assert evidence.segment_size == len(scene.segment.points)
+    given = np.column_stack([scene.segment.points, scene.segment.normals, scene.segment.weight])
+    e = evidence.arrays
+    found = np.column_stack([e.points.numpy(), e.normals.numpy(), e.weights.numpy()])
+    np.testing.assert_array_equal(np.unique(found, axis=0), np.unique(given, axis=0))
+    # Any stride takes an even sample of the segment.
+    spread = scene.segment.points.std(axis=0)
+    np.testing.assert_allclose(e.points.numpy()[::7].std(axis=0), spread, rtol=0.3)

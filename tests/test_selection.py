@@ -1,0 +1,147 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from held_object import HeldObject, held_object
+
+from inhand.config import EvidenceConfig, SelectionConfig
+from inhand.geometry.se3 import exp, inverse, transform
+from inhand.stages.evidence import gather_evidence, score_with_contact
+from inhand.stages.render_selection import select_by_rendering
+from inhand.stages.results import PoseSet, Selection
+from inhand.stages.selection import select
+
+CONFIG = SelectionConfig()
+
+
+def selected(scene: HeldObject, poses: np.ndarray, config: SelectionConfig = CONFIG) -> Selection:
+    evidence = gather_evidence(
+        scene.observation, scene.hand_state, scene.segment, scene.hand, EvidenceConfig()
+    )
+    return select(
+        PoseSet(poses.astype(np.float32), np.zeros(len(poses), dtype=np.float32)),
+        scene.observation,
+        scene.hand_state,
+        scene.segment,
+        evidence,
+        scene.hand,
+        scene.obj,
+        config,
+    )
+
+
+def around(scene: HeldObject, count: int, angle: float, distance: float) -> np.ndarray:
+    """Poses around the true one, with errors of sd `angle` [rad] and `distance` [m] per axis."""
+    motions = np.random.default_rng(0).normal(0, 1, (count, 6)) * ([angle] * 3 + [distance] * 3)
+    return np.asarray(scene.T_camera_object @ exp(motions))
+
+
+def surface_error(scene: HeldObject, T: np.ndarray) -> float:
+    """Mean distance [m] of the posed surface to the true one."""
+    local = inverse(scene.T_camera_object) @ T.astype(np.float64)
+    points = scene.obj.model.surface.points[:200]
+    return float(np.abs(scene.obj.model.distance_field.distance(transform(local, points))).mean())
+
+
+@pytest.mark.parametrize("name", ["industrial_part", "cuboid", "cylinder"])
+def test_the_truth_is_selected(name: str) -> None:
+    scene = held_object(name)
+    poses = around(scene, 80, 0.4, 0.01)
+    poses[37] = scene.T_camera_object
+    found = selected(scene, poses)
+    assert surface_error(scene, found.T_camera_object[0]) < 0.001
+    assert found.confidence > 0.5
+
+
+def test_candidates_are_ranked_distinct_and_few() -> None:
+    scene = held_object("industrial_part")
+    poses = np.concatenate([around(scene, 40, 0.3, 0.01)] * 2)
+    found = selected(scene, poses, replace(CONFIG, candidates=6))
+    assert len(found.poses) == len(found.score) == len(found.T_camera_object) == 6
+    assert (np.diff(found.score) <= 0).all()
+    known = {T.tobytes() for T in poses.astype(np.float32)}
+    kept = {T.tobytes() for T in found.T_camera_object}
+    assert len(kept) == 6
+    assert kept <= known
+
+
+def test_symmetric_poses_are_one_candidate() -> None:
+    """The cuboid looks the same after a quarter turn about its long axis."""
+    scene = held_object("cuboid")
+    turns = exp(np.pi / 2 * np.pad(np.arange(4.0)[:, None], ((0, 0), (2, 3))))
+    found = selected(scene, scene.T_camera_object @ turns)
+    assert len(found.poses) == 1
+
+
+def test_the_confidence_does_not_depend_on_how_many_candidates_are_reported() -> None:
+    scene = held_object("industrial_part")
+    poses = around(scene, 40, 0.3, 0.01)
+    one, many = (selected(scene, poses, replace(CONFIG, candidates=n)) for n in (1, 20))
+    assert one.confidence == many.confidence
+    np.testing.assert_array_equal(one.T_camera_object[0], many.T_camera_object[0])
+
+
+def test_a_better_fit_is_more_certain() -> None:
+    scene = held_object("industrial_part")
+    shifts = np.array([0.0, 0.004, 0.012, 0.05])
+    confidences = []
+    for shift in shifts:
+        T = scene.T_camera_object.copy()
+        T[2, 3] -= shift
+        confidences.append(selected(scene, T[None]).confidence)
+    assert (np.diff(confidences) <= 0).all()
+    assert 0.5 < confidences[0] <= 1
+    assert 0 <= confidences[-1] < 0.2
+
+
+def test_a_rival_makes_the_answer_less_certain() -> None:
+    """The other pose lies elsewhere; the better it explains the image, the less is certain."""
+    scene = held_object("industrial_part")
+    true = scene.T_camera_object
+    config = replace(CONFIG, max_lead=5.0, confidence_lead=1.0)
+    others = true @ exp(np.array([[0, 0, 0, 0.001, 0, 0], [0.3, 0, 0, 0.02, 0, 0]]))
+    far = exp(np.array([0, 0, 0, 0, 0, -0.1])) @ true
+    alone, variant, rival, hopeless = (
+        selected(scene, np.stack([true, *other]), config).confidence
+        for other in ([], [others[0]], [others[1]], [far])
+    )
+    assert rival < hopeless < alone
+    assert variant == alone
+
+
+def test_no_pose_gives_no_confidence() -> None:
+    found = selected(held_object("cuboid"), np.zeros((0, 4, 4)))
+    assert len(found.poses) == 0
+    assert found.confidence == 0
+
+
+def test_the_ranking_is_by_fit_and_contact() -> None:
+    scene = held_object("industrial_part")
+    poses = around(scene, 30, 0.3, 0.01)
+    found = selected(scene, poses, replace(CONFIG, candidates=30, merge_distance=0.0))
+    evidence = gather_evidence(
+        scene.observation, scene.hand_state, scene.segment, scene.hand, EvidenceConfig()
+    )
+    expected = score_with_contact(
+        evidence,
+        scene.obj,
+        poses.astype(np.float32),
+        model_points=CONFIG.model_points,
+        segment_points=CONFIG.segment_points,
+        tolerance=CONFIG.tolerance,
+        contact_points=CONFIG.contact_points,
+    )
+    np.testing.assert_array_equal(found.score, np.sort(expected)[::-1])
+
+
+def test_the_method_of_the_paper_can_be_chosen() -> None:
+    scene = held_object("cuboid")
+    poses, config = around(scene, 30, 0.3, 0.01), SelectionConfig(method="render")
+    found = selected(scene, poses, config)
+    given = PoseSet(poses.astype(np.float32), np.zeros(30, dtype=np.float32))
+    expected = select_by_rendering(
+        given, scene.observation, scene.hand_state, scene.hand, scene.obj, scene.segment, config
+    )
+    np.testing.assert_array_equal(found.T_camera_object, expected.T_camera_object)
+    np.testing.assert_array_equal(found.score, expected.score)
+    assert 0 <= found.confidence <= 1
