@@ -393,8 +393,8 @@ class SelectionConfig(Section):
     max_lead: float = 0.3
     """A larger lead in score over the best rival says nothing more."""
     confidence_bias: Real = -2.1
-    """Log odds that a pose of score 0 without a lead is right. This and the two below are a logistic
-    regression over 281 frames of the T42 and of the built-in hand, six objects each."""
+    """Log odds that a pose of score 0 without a lead is right. This and the two below are a
+    logistic regression over 281 frames of two hands with six objects each."""
     confidence_fit: float = 5.1
     """Log odds per unit of score."""
     confidence_lead: float = 13.9

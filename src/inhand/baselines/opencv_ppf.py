@@ -10,7 +10,7 @@ from inhand.errors import NoAnswer
 from inhand.packed import PackedObject
 from inhand.stages.observation import Cloud
 
-SAMPLING = 0.04
+SAMPLING = 0.08
 """Distance between sampled points, and step of the pair distance, in diameters of the model."""
 SCENE_SHARE = 1 / 5
 """Share of the scene's sampled points that vote."""
