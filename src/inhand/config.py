@@ -115,6 +115,8 @@ class HandStateConfig(Section):
     """Distinct configurations per finger that enter the joint refinement."""
     distinct_angle: NonNegative = 0.15
     """Configurations that differ by less than this in every joint are one [rad]."""
+    slide_scale: float = 0.05
+    """Metres of a prismatic joint that count as one radian in angles and spreads [m/rad]."""
     coarse_points: int = 64
     """Surface samples of a link during the search."""
     fine_points: int = 200

@@ -12,6 +12,7 @@ from inhand.config import HandStateConfig
 from inhand.hand import Finger
 from inhand.kernels.hand_fit import Visibility, score_configurations
 from inhand.kernels.launch import launch
+from inhand.kinematics import PRISMATIC
 from inhand.packed import PackedHand, device_poses
 from inhand.stages.articulated_fit import depth_view
 from inhand.stages.observation import Observation
@@ -33,6 +34,9 @@ class FingerSearch:
 
     def __init__(self, observation: Observation, hand: PackedHand, config: HandStateConfig) -> None:
         self.packed, self.hand, self.config = hand, hand.hand, config
+        slides = hand.hand.chain.source[hand.hand.chain.kind == PRISMATIC]
+        self.scale = np.ones(len(hand.hand.rest))
+        self.scale[slides] = config.slide_scale
         self.camera = observation.camera.subsampled(config.render_step)
         self.view = depth_view(observation)
 
@@ -119,11 +123,13 @@ class FingerSearch:
         sampler = qmc.Sobol(len(joints), seed=rng)
         tried = lower + sampler.random_base2(int(np.log2(config.samples))) * (upper - lower)
         scores = score(tried, config.coarse_tolerance, config.coarse_points)
-        centres = _distinct(tried, scores, config.distinct_angle, config.alternatives)
+        scale = self.scale[joints]
+        centres = _distinct(tried, scores, config.distinct_angle * scale, config.alternatives)
         spread = rng.normal(
             0, config.local_spread, (len(centres), config.local_samples, len(joints))
         )
         spread[:, 0] = 0.0
+        spread *= scale
         around = np.clip(centres[:, None] + spread, lower, upper)
         scores = score(around.reshape(-1, len(joints)), config.fine_tolerance, config.fine_points)
         scores = scores.reshape(len(centres), -1)
@@ -169,11 +175,11 @@ class FingerSearch:
         return self.packed.render(self.camera, poses, np.isin(np.arange(len(poses)), list(shown)))
 
 
-def _distinct(tried: Array, score: Array, angle: float, keep: int) -> Array:
-    """The best configurations that differ by `angle` in some joint, best first."""
+def _distinct(tried: Array, score: Array, apart: Array, keep: int) -> Array:
+    """The best configurations that differ by `apart` (joints,) in some joint, best first."""
     chosen: list[Array] = []
     left = tried[np.argsort(-score)]
     while len(left) and len(chosen) < keep:
         chosen.append(left[0])
-        left = left[np.abs(left - left[0]).max(axis=1) > angle]
+        left = left[(np.abs(left - left[0]) > apart).any(axis=1)]
     return np.stack(chosen)
