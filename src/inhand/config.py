@@ -90,7 +90,7 @@ class WristConfig(Section):
     """Standard deviation per axis of the given wrist pose [m]."""
     prior_sd_rotation: float = 0.03
     """Standard deviation per axis of the given wrist pose [rad]."""
-    iterations: int = 12
+    iterations: int = 6
     """Gauss-Newton or ICP iterations."""
     max_distance: float = 0.015
     """Scene points farther from the model than this do not take part [m]."""
@@ -427,7 +427,7 @@ class EstimatorConfig(Section):
         """The method of the paper, stage by stage."""
         return cls(
             seed=seed,
-            wrist=WristConfig(method="icp"),
+            wrist=WristConfig(method="icp", iterations=12),
             hand_state=HandStateConfig(method="swarm"),
             segmentation=SegmentationConfig(method="threshold"),
             hypotheses=HypothesesConfig(method="congruent_sets"),
