@@ -161,7 +161,7 @@ def declared(*extras: str) -> set[str]:
 
 
 def test_every_imported_library_is_a_declared_dependency() -> None:
-    known = declared("viewer", "bench", "ray")
+    known = declared("viewer", "bench", "kiss", "ray")
     providers = packages_distributions()
     used = {name.split(".")[0] for path in SOURCES.values() for name in imports(path)}
     for name in used - sys.stdlib_module_names - {"inhand"}:

@@ -15,6 +15,7 @@ import trimesh
 from PIL import Image
 from rich.console import Console
 
+from inhand.baselines.method import View
 from inhand.camera import Camera
 from inhand.cli import main
 from inhand.datasets.frames import find_frames, read_frame
@@ -172,8 +173,13 @@ class ToldEstimator:
 
 
 def benchmark(estimator: ToldEstimator, load_object: Callable[[str], Any]) -> Benchmark:
-    told: Any = estimator
-    return Benchmark(estimator.hand, load_object, lambda _: told)
+    def run(view: View) -> tuple[Any, Any]:
+        return estimator.run(view.depth, view.camera, view.T_camera_hand)
+
+    method: Any = SimpleNamespace(
+        name="told", perturbation={}, prepare=lambda *_: SimpleNamespace(run=run)
+    )
+    return Benchmark(estimator.hand, load_object, method)
 
 
 def test_scores_a_right_answer(hand: Hand, frames: Path, load_object: Callable[[str], Any]) -> None:
@@ -262,7 +268,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(
         half_written.write('{"frame": "tiny/box_0')
 
     ledger = Ledger(path, {"seed": 1})
-    assert list(ledger.results) == ["tiny/box_000", "tiny/box_001", "tiny/box_002"]
+    assert list(ledger.results) == [(f"tiny/box_00{i}", "told") for i in range(3)]
     estimator = ToldEstimator(hand, frames)
     second = list(benchmark(estimator, load_object).run(files, ledger))
     assert [r.frame for r in second] == ["tiny/box_003", "tiny/box_004", "tiny/box_005"]
@@ -353,7 +359,7 @@ def test_command_line_runs_stops_and_goes_on(
     (tmp_path / "objects").mkdir()
     trimesh.creation.box(extents=(0.03, 0.04, 0.06)).export(tmp_path / "objects" / "box.ply")
     told = ToldEstimator(hand, frames, {"tiny/box_003": "stop"})
-    monkeypatch.setattr("inhand.estimator.PoseEstimator", lambda *_, **__: told)
+    monkeypatch.setattr("inhand.baselines.estimators.PoseEstimator", lambda *_, **__: told)
     monkeypatch.setattr("inhand.cli.bench.load_kernels", lambda *_: None)
     out = tmp_path / "out"
     command = ["bench", str(frames), "--hand", str(urdf), "--device", "cpu", "--out", str(out)]
@@ -367,9 +373,19 @@ def test_command_line_runs_stops_and_goes_on(
     assert main(command) == 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["frames"]["answer"] == 6
-    assert summary["settings"]["preset"] == "default"
     assert (out / "worst.png").exists()
     assert len((out / "results.jsonl").read_text().splitlines()) == 1 + 1 + 6, "one origin"
+    told.calls.clear()
+    assert main([*command, "--methods", "inhand,paper"]) == 0, "a method is added to the results"
+    assert len(told.calls) == 7, "once to warm up"
+    summary = json.loads((out / "summary.json").read_text())
+    assert {k: s["frames"]["answer"] for k, s in summary["methods"].items()} == {
+        "inhand": 6,
+        "paper": 6,
+    }
+    assert [r.method for r in read_results(out / "results.jsonl").results] == (
+        ["inhand"] * 6 + ["paper"] * 6
+    )
     assert main([*command, "--shard", "2/3"]) == 0
     assert len(read_results(out / "results-2of3.jsonl").results) == 2
     assert (out / "summary-2of3.json").exists()
@@ -400,6 +416,7 @@ def test_missing_ray_is_one_line(
         (["{frames}", "--hand", "{urdf}"], "--objects"),
         (["{frames}", "--hand", "{urdf}", "--objects", "none"], "no folder of object meshes"),
         (["{frames}", "--every", "0"], "at least 1"),
+        (["{frames}", "--methods", "magic"], 'no method "magic"'),
         (["{frames}", "--shard", "3/2"], "such as 2/4"),
         (["{frames}", "--shard", "a"], "such as 2/4"),
     ],

@@ -1,20 +1,20 @@
-"""`inhand bench`: how good the estimator is on frames with ground truth."""
+"""`inhand bench`: how good the estimator, and other methods, are on frames with ground truth."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
 from rich import progress
 from rich.console import Console
 
-from inhand.cli.common import Preset, load_kernels, make_config
+from inhand.cli.common import Preset, load_kernels
 
 if TYPE_CHECKING:
-    from inhand.evaluation.benchmark import Benchmark
+    from inhand.baselines.method import Method
     from inhand.evaluation.contact_sheet import ContactSheet
     from inhand.evaluation.results import FrameResult, Ledger
     from inhand.object_model import ObjectModel
@@ -25,15 +25,27 @@ DEFAULT_HAND = "hands/t42/hand_T42b.urdf"
 """Looked for beside the frames and above."""
 WORST = 24
 """Frames on the contact sheet."""
+OWN_METHODS: dict[Preset, str] = {"default": "inhand", "paper": "paper"}
+"""Method by preset."""
+
+
+class Job(NamedTuple):
+    """Something to score."""
+
+    method: str
+    """Label of the method."""
+    file: Path
+    """The frame."""
 
 
 @dataclass(frozen=True)
 class Bench:
     """Run the estimator over frames with ground truth and report how good it is.
 
-    Prints recall, errors, times and the stage that loses each frame; writes `results.jsonl` (one
-    line a frame), `summary.json` and `worst.png` (the worst frames) to the output folder. Ctrl-C
-    keeps what is done; the same command goes on from there.
+    Prints recall, errors, times and the stage that loses each frame, or of several methods one line
+    each; writes `results.jsonl` (one line a frame and method), `summary.json` and `worst.png` (the
+    worst frames of the first method) to the output folder. Ctrl-C keeps what is done; the same
+    command goes on from there, and more methods may be added to it.
     """
 
     frames: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -51,8 +63,12 @@ class Bench:
     """Take at most this many frames, spread evenly."""
     shard: str = "1/1"
     """Take only one of several parts of the frames, such as 2/4: for runs on several machines."""
+    methods: str | None = None
+    """Methods, separated by commas: inhand, paper, super4pcs, super4pcs+hs, super4pcs+hs+icp,
+    fpfh-ransac, fgr, opencv-ppf, kiss-matcher (each also with +hs: without the hand, and +mask:
+    given the object's true pixels), icp-from-truth, ablation. Default: inhand."""
     preset: Preset = "default"
-    """Configuration: the project's own, or the paper's method."""
+    """Without --methods: the project's own configuration, or the paper's method."""
     ray: bool = False
     """Spread the frames over the CPUs of a Ray cluster, which RAY_ADDRESS names; without it, over
     those of this machine. Times are then those of frames that run side by side."""
@@ -71,12 +87,13 @@ def run(args: Bench) -> int:
         InputError: there are no frames, no hand or no objects, or the output folder holds results
             made with other settings.
     """
+    from inhand.baselines.registry import find_methods
     from inhand.cluster import map_on_ray
-    from inhand.datasets.frames import find_frames, frame_name
-    from inhand.evaluation.benchmark import missing, pick_frames
+    from inhand.datasets.frames import find_frames
+    from inhand.evaluation.benchmark import key_of, missing, pick_frames
     from inhand.evaluation.contact_sheet import worst_frames
     from inhand.evaluation.machine import origin
-    from inhand.evaluation.report import print_summary
+    from inhand.evaluation.report import print_comparison, print_summary
     from inhand.evaluation.results import Ledger
     from inhand.evaluation.shards import Shard
     from inhand.evaluation.summary import summarise
@@ -84,6 +101,7 @@ def run(args: Bench) -> int:
 
     console = Console()
     shard = Shard.parse(args.shard)
+    methods = find_methods(args.methods or OWN_METHODS[args.preset], args.seed)
     files = pick_frames(find_frames(args.frames), every=args.every, limit=args.limit)
     files = shard.pick(files)
     device = resolve_device(args.device)
@@ -93,24 +111,39 @@ def run(args: Bench) -> int:
     ledger = Ledger(path, settings, origin(device), restart=args.restart)
 
     load_kernels(device, console)
+    jobs = [Job(m.label, file) for m in methods for file in missing(files, m, ledger)]
+    make_scorer = partial(_scorer, settings)
     if args.ray:
-        make_scorer = partial(_scorer, settings)
-        scored = ledger.record(map_on_ray(make_scorer, missing(files, ledger)))
+        scored = map_on_ray(make_scorer, jobs)
     else:
         with console.status("Building the model of the hand (from the cache next time)"):
-            scored = _benchmark(settings).run(files, ledger)
-    finished = _run_with_progress(scored, files, ledger, console)
-    results = [ledger.results[name] for name in map(frame_name, files) if name in ledger.results]
-    summary = {"settings": settings, **summarise(results)}
-    (out / shard.named("summary.json")).write_text(json.dumps(summary, indent=2) + "\n")
-    print_summary(summary, console)
-    if worst := worst_frames(results, WORST):
+            scored = map(make_scorer(), jobs)
+    finished = _run_with_progress(ledger.record(scored), methods, files, ledger, console)
+    results = {m.label: ledger.found(key_of(file, m) for file in files) for m in methods}
+    summaries = {label: summarise(of_method) for label, of_method in results.items()}
+    _write_summary(out / shard.named("summary.json"), settings, summaries)
+    if len(methods) == 1:
+        print_summary(summaries[methods[0].label], console)
+    else:
+        print_comparison(summaries, console)
+    if worst := worst_frames(results[methods[0].label], WORST):
         _contact_sheet(settings).save(out / shard.named("worst.png"), worst)
     console.print(f"Wrote {path}, and summary and pictures of the worst frames beside it")
     if not finished:
-        left = f"Stopped at {len(results)} of {len(files)} frames"
+        done = sum(map(len, results.values()))
+        left = f"Stopped at {done} of {len(files) * len(methods)} frames"
         console.print(f"[yellow]{left}; the same command goes on from there[/yellow]")
     return 0 if finished else INTERRUPTED
+
+
+def _write_summary(
+    path: Path, settings: dict[str, Any], summaries: Mapping[str, dict[str, Any]]
+) -> None:
+    """One method's summary beside the settings, or those of several by their names."""
+    content: Mapping[str, Any] = {"methods": summaries}
+    if len(summaries) == 1:
+        (content,) = summaries.values()
+    path.write_text(json.dumps({"settings": settings, **content}, indent=2) + "\n")
 
 
 def _settings(args: Bench, device: str) -> dict[str, Any]:
@@ -130,7 +163,6 @@ def _settings(args: Bench, device: str) -> dict[str, Any]:
     return {
         "version": inhand.__version__,
         "source": source_key(),
-        "preset": args.preset,
         "seed": args.seed,
         "device": device,
         "hand": str(hand.resolve()),
@@ -138,24 +170,23 @@ def _settings(args: Bench, device: str) -> dict[str, Any]:
     }
 
 
-def _benchmark(settings: dict[str, Any]) -> "Benchmark":
-    from inhand.estimator import PoseEstimator
+def _scorer(settings: dict[str, Any]) -> Callable[[Job], "FrameResult"]:
+    """The scoring of one job after the other, in this process or in one of a cluster.
+
+    Jobs come method by method; of each method only its own models are kept.
+    """
+    from inhand.baselines.registry import find_methods
     from inhand.evaluation.benchmark import Benchmark
     from inhand.hand import Hand
-    from inhand.object_model import ObjectModel
 
-    hand, device = Hand.from_urdf(settings["hand"]), settings["device"]
-    config = make_config(settings["preset"], settings["seed"])
+    hand, load_object = Hand.from_urdf(settings["hand"]), _object_loader(settings)
 
-    def make_estimator(model: ObjectModel) -> PoseEstimator:
-        return PoseEstimator(hand, model, config=config, device=device)
+    @lru_cache(maxsize=1)
+    def benchmark(label: str) -> Benchmark:
+        (method,) = find_methods(label, settings["seed"])
+        return Benchmark(hand, load_object, method, settings["device"])
 
-    return Benchmark(hand, _object_loader(settings), make_estimator, device)
-
-
-def _scorer(settings: dict[str, Any]) -> Callable[[Path], "FrameResult"]:
-    """The scoring of one frame after the other, in a process of a cluster."""
-    return _benchmark(settings).score
+    return lambda job: benchmark(job.method).score(job.file)
 
 
 def _contact_sheet(settings: dict[str, Any]) -> "ContactSheet":
@@ -174,12 +205,13 @@ def _object_loader(settings: dict[str, Any]) -> Callable[[str], "ObjectModel"]:
 
 def _run_with_progress(
     scored: Iterator["FrameResult"],
+    methods: Sequence["Method"],
     files: Sequence[Path],
     ledger: "Ledger",
     console: Console,
 ) -> bool:
     """Run what is left to do under a progress bar; False when Ctrl-C stopped it."""
-    from inhand.datasets.frames import frame_name
+    from inhand.evaluation.benchmark import key_of
 
     columns = (
         progress.BarColumn(),
@@ -187,26 +219,27 @@ def _run_with_progress(
         progress.TimeRemainingColumn(),
         progress.TextColumn("{task.description}"),
     )
-    names = map(frame_name, files)
-    done = [ledger.results[name] for name in names if name in ledger.results]
+    keys = [key_of(file, method) for method in methods for file in files]
+    done = ledger.found(keys)
     with progress.Progress(*columns, console=console) as bar:
-        task = bar.add_task(_running_recall(done), total=len(files), completed=len(done))
+        task = bar.add_task("warming up", total=len(keys), completed=len(done))
         try:
             for result in scored:
                 done.append(result)
                 if result.outcome in ("error", "unreadable"):
                     bar.print(f"{result.frame}: {result.reason}", markup=False, highlight=False)
-                bar.update(task, advance=1, description=_running_recall(done))
+                same = [r for r in done if r.key[1:] == result.key[1:]]
+                bar.update(task, advance=1, description=_running_recall(same))
         except KeyboardInterrupt:
             return False
     return True
 
 
 def _running_recall(results: Sequence["FrameResult"]) -> str:
+    """The method's name and its recall so far."""
     from inhand.evaluation.diagnosis import SOLVED
 
     scored = [r for r in results if r.outcome != "unreadable"]
-    if not scored:
-        return "warming up"
     solved = sum(r.adi is not None and r.adi < SOLVED for r in scored)
-    return f"ADI < 5 mm: {solved / len(scored):.0%}"
+    share = f"{solved / len(scored):.0%}" if scored else "-"
+    return f"{results[0].method}, ADI < 5 mm: {share}"

@@ -1,4 +1,4 @@
-"""Running an estimator over frames with ground truth."""
+"""Running a method over frames with ground truth."""
 
 import os
 import sys
@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from inhand.baselines.method import Method, PreparedMethod, view_of
 from inhand.datasets.frames import LABEL_HAND, Frame, frame_name, read_frame
 from inhand.errors import InputError
 from inhand.estimate import PoseEstimate
-from inhand.estimator import PoseEstimator, StageResults
+from inhand.estimator import StageResults
 from inhand.evaluation.diagnosis import (
     best_adi_by_stage,
     segment_quality,
@@ -21,7 +22,7 @@ from inhand.evaluation.diagnosis import (
     stages_reached,
 )
 from inhand.evaluation.metrics import ObjectMetric, PoseError, angle_errors, wrist_error
-from inhand.evaluation.results import FrameResult, Ledger
+from inhand.evaluation.results import FrameResult, Key, Ledger, result_key
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
@@ -31,38 +32,43 @@ TOP_CANDIDATES = 3
 
 
 class Benchmark:
-    """Scores an estimator frame by frame.
+    """Scores a method frame by frame.
 
     Args:
         hand: the hand in the frames.
         load_object: gives the model of the object of a name.
-        make_estimator: gives the estimator of an object.
-        device: Warp device of the scoring.
+        method: the method.
+        device: Warp device of the method and of the scoring.
     """
 
     def __init__(
         self,
         hand: Hand,
         load_object: Callable[[str], ObjectModel],
-        make_estimator: Callable[[ObjectModel], PoseEstimator],
+        method: Method,
         device: str = "cpu",
     ) -> None:
         self._hand = hand
         self._load_object = load_object
-        self._make_estimator = make_estimator
+        self._method = method
         self._device = device
         self._renderer = DepthRenderer([link.mesh for link in hand.links], device)
-        self._objects: dict[str, tuple[ObjectMetric, PoseEstimator]] = {}
+        self._objects: dict[str, tuple[ObjectMetric, PreparedMethod]] = {}
 
     def run(self, files: Sequence[Path], ledger: Ledger) -> Iterator[FrameResult]:
         """Results of the frames that `ledger` lacks, each written to it before it is handed on.
 
-        A frame that cannot be read or that the estimator fails on is a result too.
+        A frame that cannot be read or that the method fails on is a result too.
         """
-        return ledger.record(map(self.score, missing(files, ledger)))
+        return ledger.record(map(self.score, missing(files, self._method, ledger)))
 
     def score(self, file: Path) -> FrameResult:
-        """Run the estimator on one frame and score it; never raises for what a frame does."""
+        """Run the method on one frame and score it; never raises for what a frame does."""
+        result = self._score_file(file)
+        perturbation = dict(self._method.perturbation)
+        return replace(result, method=self._method.name, perturbation=perturbation)
+
+    def _score_file(self, file: Path) -> FrameResult:
         try:
             frame = read_frame(file)
         except InputError as error:
@@ -81,12 +87,14 @@ class Benchmark:
             )
 
     def _score(self, file: Path, frame: Frame) -> FrameResult:
-        metric, estimator = self._models(frame)
+        metric, method = self._models(frame)
         true_joints = self._hand.joint_vector(frame.truth.joint_positions)
+        view = view_of(frame)
         started = time.perf_counter()
-        estimate, stages = estimator.run(frame.depth, frame.camera, frame.T_camera_hand_given)
+        estimate, reached = method.run(view)
         seconds = time.perf_counter() - started
 
+        stages = StageResults() if reached is None else reached
         segment = segment_quality(stages, frame)
         wrists = _wrist_errors(estimate, stages, frame)
         result = FrameResult(
@@ -109,6 +117,8 @@ class Benchmark:
         )
         if estimate.T_camera_object is not None:
             result = _with_answer(result, estimate, metric, frame)
+        if reached is None:
+            return result
         lost_at = stage_to_blame(
             result.adi,
             result.best_adi,
@@ -119,13 +129,13 @@ class Benchmark:
         )
         return replace(result, lost_at=lost_at)
 
-    def _models(self, frame: Frame) -> tuple[ObjectMetric, PoseEstimator]:
-        """Metric and estimator of the frame's object; a new estimator runs once to warm up."""
+    def _models(self, frame: Frame) -> tuple[ObjectMetric, PreparedMethod]:
+        """Metric and method of the frame's object; a newly prepared method runs once to warm up."""
         if frame.object_name not in self._objects:
             model = self._load_object(frame.object_name)
-            estimator = self._make_estimator(model)
-            estimator.run(frame.depth, frame.camera, frame.T_camera_hand_given)
-            self._objects[frame.object_name] = ObjectMetric(model, self._device), estimator
+            method = self._method.prepare(self._hand, model, self._device)
+            method.run(view_of(frame))
+            self._objects[frame.object_name] = ObjectMetric(model, self._device), method
         return self._objects[frame.object_name]
 
     def _joint_errors(self, angles: Mapping[str, float], frame: Frame) -> dict[str, float]:
@@ -181,9 +191,14 @@ def _wrist_errors(
     return {stage: wrist_error(T, truth) for stage, T in poses.items() if T is not None}
 
 
-def missing(files: Sequence[Path], ledger: Ledger) -> list[Path]:
-    """The frames that have no result in the ledger."""
-    return [file for file in files if frame_name(file) not in ledger.results]
+def missing(files: Sequence[Path], method: Method, ledger: Ledger) -> list[Path]:
+    """The frames that have no result of the method in the ledger."""
+    return [file for file in files if key_of(file, method) not in ledger.results]
+
+
+def key_of(file: Path, method: Method) -> Key:
+    """What the ledger knows the method's result on a frame by."""
+    return result_key(frame_name(file), method.name, method.perturbation)
 
 
 def pick_frames(files: Sequence[Path], *, every: int = 1, limit: int | None = None) -> list[Path]:

@@ -86,6 +86,11 @@ class FrameResult:
     """The process's peak memory up to here [byte]."""
 
     @property
+    def key(self) -> "Key":
+        """What the ledger knows the result by."""
+        return result_key(self.frame, self.method, self.perturbation)
+
+    @property
     def visible_joint_errors(self) -> dict[str, float]:
         """Errors [rad] of the joints whose link shows more than `JOINT_PIXELS` pixels."""
         return {
@@ -93,6 +98,15 @@ class FrameResult:
             for name, error in self.joint_errors.items()
             if self.joint_pixels[name] > JOINT_PIXELS
         }
+
+
+Key = tuple[str | tuple[str, float], ...]
+"""Frame, method and its perturbation."""
+
+
+def result_key(frame: str, method: str, perturbation: Mapping[str, float]) -> Key:
+    """The key of the result of a method on a frame."""
+    return (frame, method, *sorted(perturbation.items()))
 
 
 @dataclass(frozen=True)
@@ -143,7 +157,7 @@ class Ledger:
     """The results file: one JSON object a line, the settings first.
 
     A result is on disk as soon as it is appended, so a run that is stopped loses none, and the
-    next one goes on with the frames that are not here yet.
+    next one goes on with the frames that are not here yet, method by method.
 
     Args:
         path: the file; made with its folder when it does not exist.
@@ -165,7 +179,7 @@ class Ledger:
         restart: bool = False,
     ) -> None:
         self.path = path
-        self.results: dict[str, FrameResult] = {}
+        self.results: dict[Key, FrameResult] = {}
         self._origin = origin
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -184,7 +198,11 @@ class Ledger:
                 file.write(json.dumps({"origin": self._origin}) + "\n")
                 self._origin = None
             file.write(json.dumps(asdict(result)) + "\n")
-        self.results[result.frame] = result
+        self.results[result.key] = result
+
+    def found(self, keys: Iterable[Key]) -> list[FrameResult]:
+        """The results with these keys that are here."""
+        return [self.results[key] for key in keys if key in self.results]
 
     def record(self, results: Iterable[FrameResult]) -> Iterator[FrameResult]:
         """Results as they come, each written before it is handed on."""
@@ -203,7 +221,7 @@ class Ledger:
             )
         if record.origins and record.origins[-1] == self._origin:
             self._origin = None
-        self.results = {result.frame: result for result in record.results}
+        self.results = {result.key: result for result in record.results}
 
 
 def source_key() -> str:
