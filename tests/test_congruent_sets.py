@@ -105,6 +105,15 @@ def test_points_near_the_hand_are_sampled_rarely_and_points_in_it_never() -> Non
     assert 0 < (distance[bases.points] <= 0).mean() < 0.2
 
 
+def test_without_the_heuristic_points_near_the_hand_are_as_likely_as_others() -> None:
+    scene = held_object("industrial_part")
+    near = scene.segment.points[:, 0] < np.median(scene.segment.points[:, 0])
+    segment = replace(scene.segment, hand_distance=np.where(near, 0, 0.01).astype(np.float32))
+    uniform = replace(CONFIG, heuristic=False)
+    bases = CongruentSetSearch(segment, scene.obj, uniform).sample_bases(rng())
+    assert 0.35 < near[bases.points].mean() < 0.65
+
+
 def test_bases_repeat_with_the_seed_and_differ_between_work_items() -> None:
     scene = held_object("industrial_part")
     search = CongruentSetSearch(scene.segment, scene.obj, CONFIG)
@@ -125,9 +134,20 @@ def coarse_object(points: int) -> PackedObject:
 
 
 def brute_force(
-    segment: Segment, bases: Bases, obj: PackedObject, count: int, tolerance: float, angle: float
+    segment: Segment,
+    bases: Bases,
+    obj: PackedObject,
+    count: int,
+    tolerance: float,
+    angle: float,
+    normal_angle: float | None = None,
 ) -> list[set[tuple[int, ...]]]:
-    """Per base, all quadruples of the first `count` model points that are congruent to it."""
+    """Per base, all quadruples of the first `count` model points that are congruent to it.
+
+    `angle` is the tolerance of the enclosed angle and, unless there is another one for them, of
+    the angles with normals.
+    """
+    n_angle = angle if normal_angle is None else normal_angle
     p = obj.model.surface.points[:count].astype(np.float64)
     n = obj.model.surface.normals[:count].astype(np.float64)
     i, j = np.nonzero(~np.eye(count, dtype=bool))
@@ -139,7 +159,9 @@ def brute_force(
         m = segment.normals[base].astype(np.float64)
         wanted = pair_features(q[[0, 2]], m[[0, 2]], q[[1, 3]], m[[1, 3]])
         first, second = (
-            np.flatnonzero((np.abs(features - w) <= [tolerance, angle, angle, angle]).all(axis=1))
+            np.flatnonzero(
+                (np.abs(features - w) <= [tolerance, n_angle, n_angle, n_angle]).all(axis=1)
+            )
             for w in wanted
         )
         u, v = ((q[b] - q[a]) / np.linalg.norm(q[b] - q[a]) for a, b in ((0, 1), (2, 3)))
@@ -154,7 +176,7 @@ def brute_force(
         enclosed = np.arccos(np.clip((lines[a] * lines[b]).sum(axis=1), -1, 1))
         good = np.linalg.norm(middle_a - middle_b, axis=1) <= tolerance
         good &= np.abs(enclosed - np.arccos(u @ v)) <= angle
-        good &= np.abs(side - plane @ m.sum(axis=0) / 4) <= angle
+        good &= np.abs(side - plane @ m.sum(axis=0) / 4) <= n_angle
         quadruples = np.stack([i[a], j[a], i[b], j[b]], axis=1)[good]
         found.append({tuple(x) for x in quadruples.tolist()})
     return found
@@ -173,6 +195,25 @@ def test_congruent_sets_are_those_of_a_brute_force_search() -> None:
     for k in range(len(bases.points)):
         found = {tuple(x) for x in sets.points[sets.base == k].tolist()}
         assert len(found) == (sets.base == k).sum()
+        assert certain[k] <= found <= possible[k]
+
+
+def test_without_the_features_lengths_and_the_enclosed_angle_decide() -> None:
+    """Up to sets on the border of a tolerance."""
+    count = 40
+    obj = coarse_object(count)
+    segment, _ = sampled()
+    lengths_only = replace(EVERYTHING, ppf_constraint=False, bases=20)
+    search = CongruentSetSearch(segment, obj, lengths_only)
+    bases = search.sample_bases(rng())
+    sets = search.extract(bases)
+    t, angle = CONFIG.congruence, CONFIG.congruence_angle
+    certain = brute_force(segment, bases, obj, count, t - 1e-6, angle - 1e-3, np.pi)
+    possible = brute_force(segment, bases, obj, count, t + 1e-6, angle + 1e-3, np.pi)
+    constrained = brute_force(segment, bases, obj, count, t, angle)
+    assert sum(map(len, certain)) > 10 * sum(map(len, constrained))
+    for k in range(len(bases.points)):
+        found = {tuple(x) for x in sets.points[sets.base == k].tolist()}
         assert certain[k] <= found <= possible[k]
 
 

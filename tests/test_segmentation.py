@@ -11,6 +11,7 @@ from inhand.stages.segmentation import segment_object
 
 SOFT = SegmentationConfig(dense_below=1)
 PAPER = SegmentationConfig(method="threshold")
+WHOLE = SegmentationConfig(method="none")
 
 
 def segmented(
@@ -42,6 +43,13 @@ def test_the_object_is_what_is_left(name: str, config: SegmentationConfig) -> No
     assert found.weight[right].sum() > 0.95 * found.weight.sum()
     # Only where it touches the hand something is missing.
     assert right.sum() > 0.7 * len(scene.segment.points)
+
+
+def test_without_segmentation_the_hand_stays() -> None:
+    scene = held_object("cuboid")
+    found = segmented(scene, WHOLE)
+    np.testing.assert_array_equal(found.points, scene.observation.points)
+    np.testing.assert_array_equal(found.weight, 1)
 
 
 def test_the_threshold_of_the_paper() -> None:
