@@ -171,7 +171,8 @@ def brute_force(
         cross = np.cross(lines[a], lines[b])
         with np.errstate(invalid="ignore"):
             cross /= np.linalg.norm(cross, axis=1, keepdims=True)
-        side = (cross * (n[i[a]] + n[j[a]] + n[i[b]] + n[j[b]])).sum(axis=1) / 4
+        # Parallel lines have no plane, and so no side of it.
+        side = (np.nan_to_num(cross) * (n[i[a]] + n[j[a]] + n[i[b]] + n[j[b]])).sum(axis=1) / 4
         plane = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
         enclosed = np.arccos(np.clip((lines[a] * lines[b]).sum(axis=1), -1, 1))
         good = np.linalg.norm(middle_a - middle_b, axis=1) <= tolerance
