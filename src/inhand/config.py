@@ -90,6 +90,14 @@ class WristConfig(Section):
     """Standard deviation per axis of the given wrist pose [m]."""
     prior_sd_rotation: float = 0.03
     """Standard deviation per axis of the given wrist pose [rad]."""
+    samples: int = 128
+    """`prior`: poses tried around the given one."""
+    search_sd_translation: float = 0.006
+    """Standard deviation per axis of these [m]."""
+    search_sd_rotation: float = 0.04
+    """Standard deviation per axis of these [rad]."""
+    starts: int = 5
+    """`prior`: poses that are refined: the given one and the best of those tried."""
     iterations: int = 6
     """Gauss-Newton or ICP iterations."""
     max_distance: float = 0.015

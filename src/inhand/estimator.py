@@ -126,7 +126,7 @@ class PoseEstimator:
         )
         yield (r := replace(r, observation=observation))
 
-        wrist = clock.time("wrist", fit_wrist, observation, hand, c.wrist)
+        wrist = clock.time("wrist", fit_wrist, observation, hand, c.wrist, c.hand_state, rng)
         yield (r := replace(r, wrist=wrist))
 
         state = clock.time(

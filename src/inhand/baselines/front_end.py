@@ -68,8 +68,8 @@ def object_cloud(
         if view.true_mask is None:
             raise InputError("the method needs the object's true mask, which this frame lacks")
         return masked_cloud(observation, view.true_mask, config), results
-    wrist = watch.time("wrist", fit_wrist, observation, hand, config.wrist)
     rng = np.random.default_rng(config.seed)
+    wrist = watch.time("wrist", fit_wrist, observation, hand, config.wrist, config.hand_state, rng)
     state = watch.time(
         "hand_state", estimate_hand_state, observation, wrist, hand, config.hand_state,
         config.wrist, rng,

@@ -4,17 +4,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from inhand.config import HandStateConfig
 from inhand.hand import Finger
-from inhand.kernels.hand_fit import Visibility, score_configurations
-from inhand.kernels.launch import launch
 from inhand.kinematics import PRISMATIC
-from inhand.packed import PackedHand, device_poses
-from inhand.stages.articulated_fit import depth_view
+from inhand.packed import PackedHand
+from inhand.stages.hand_visibility import HandVisibility
 from inhand.stages.observation import Observation
 
 Array = NDArray[np.float64]
@@ -38,7 +35,7 @@ class FingerSearch:
         self.scale = np.ones(len(hand.hand.rest))
         self.scale[slides] = config.slide_scale
         self.camera = observation.camera.subsampled(config.render_step)
-        self.view = depth_view(observation)
+        self.visibility = HandVisibility(observation, hand, config)
 
     def alternatives(self, T_camera_hand: Array, rng: np.random.Generator) -> list[Array]:
         """The best distinct configurations of every finger, best first, (k, finger's joints) each.
@@ -69,16 +66,17 @@ class FingerSearch:
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
         palm = self._render(self.hand.rest, T_camera_hand[0], [])
-        alone = [self._score(f.links, q, T_camera_hand, palm)[0] for f in self.hand.fingers]
+        score = self.visibility.score
+        alone = [score(f.links, q, T_camera_hand, palm)[0] for f in self.hand.fingers]
         total = np.sum(alone, axis=0)
         T = T_camera_hand[total.argmax()]
         combined = q[total.argmax()].copy()
         placed: list[Finger] = []
-        for i in np.argsort([-score.max() for score in alone]):
+        for i in np.argsort([-scores.max() for scores in alone]):
             finger = self.hand.fingers[i]
             others = self._render(combined, T, placed)
-            score = self._score(finger.links, q, T_camera_hand, others)[0]
-            combined[list(finger.joints)] = q[score.argmax()][list(finger.joints)]
+            best = score(finger.links, q, T_camera_hand, others)[0].argmax()
+            combined[list(finger.joints)] = q[best][list(finger.joints)]
             placed.append(finger)
         return combined, T
 
@@ -99,12 +97,10 @@ class FingerSearch:
 
     def hand_support(self, q: Array, T_camera_hand: Array) -> float:
         """Score of the whole hand per share of it that nothing hides; arguments as above."""
-        pixels = self.camera.width * self.camera.height
-        nothing = wp.zeros(pixels, dtype=float, device=self.packed.device)
-        return self._support(range(len(self.hand.links)), q, T_camera_hand, nothing)
+        return self._support(range(len(self.hand.links)), q, T_camera_hand, None)
 
     def _support(self, links: Sequence[int], q: Array, T_camera_hand: Array, others: Any) -> float:
-        score, seen = self._score(links, q[None], T_camera_hand[None], others)
+        score, seen = self.visibility.score(links, q[None], T_camera_hand[None], others)
         return float(score[0]) / max(float(seen[0]), self.config.min_seen)
 
     def _search(
@@ -118,7 +114,7 @@ class FingerSearch:
             q = np.repeat(self.hand.rest[None], len(tried), 0)
             q[:, joints] = tried
             poses = np.repeat(T_camera_hand[None], len(q), 0)
-            return self._score(finger.links, q, poses, others, tolerance, points)[0]
+            return self.visibility.score(finger.links, q, poses, others, tolerance, points)[0]
 
         sampler = qmc.Sobol(len(joints), seed=rng)
         tried = lower + sampler.random_base2(int(np.log2(config.samples))) * (upper - lower)
@@ -135,38 +131,6 @@ class FingerSearch:
         scores = scores.reshape(len(centres), -1)
         best = around[np.arange(len(centres)), scores.argmax(axis=1)]
         return best[np.argsort(-scores.max(axis=1))], float(scores.max())
-
-    def _score(
-        self,
-        links: Sequence[int],
-        q: Array,
-        T_camera_hand: Array,
-        others: Any,
-        tolerance: float | None = None,
-        points: int | None = None,
-    ) -> tuple[Array, Array]:
-        """Visibility score of some links and the share of them that nothing hides, (c,) each.
-
-        `points` surface samples of every link are used at most.
-        """
-        packed, device, config = self.packed, self.packed.device, self.config
-        rule = Visibility()
-        rule.tolerance = tolerance or config.fine_tolerance
-        rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
-        ranges = [np.arange(*packed.point_start[[i, i + 1]])[:points] for i in links]
-        samples = wp.array(np.concatenate(ranges), dtype=int, device=device)
-        poses = device_poses(packed.link_poses(q, T_camera_hand), device)
-        score = wp.empty(len(q), dtype=float, device=device)
-        seen = wp.empty(len(q), dtype=float, device=device)
-        launch(
-            score_configurations,
-            len(q),
-            [self.view, rule, poses, len(self.hand.links), packed.points, packed.normals]
-            + [packed.link, samples, others, config.render_step, score, seen],
-            device,
-            work_per_item=len(samples),
-        )
-        return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)
 
     def _render(self, q: Array, T_camera_hand: Array, fingers: Sequence[Finger]) -> Any:
         """Depth [m], on the device, of the palm and some fingers at joint vector (n,)."""
