@@ -4,6 +4,7 @@ The hand points up in the image, half a metre away, and is seen obliquely; nothi
 """
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -91,10 +92,14 @@ def held_object(name: str) -> HeldObject:
     return HeldObject(hand, obj, T_camera_object, state, depth, observation, segment)
 
 
-def distance_to_hand(points: np.ndarray, hand: PackedHand, state: HandState) -> np.ndarray:
-    """Signed distance [m] of points (n, 3), camera frame, to the hand, shape (n,)."""
+def distance_to_hand(
+    points: np.ndarray, hand: PackedHand, state: HandState, links: Sequence[int] | None = None
+) -> np.ndarray:
+    """Signed distance [m] of points (n, 3), camera frame, to some links or the hand, shape (n,)."""
     distances = [
-        link.distance_field.distance((points - T[:3, 3]) @ T[:3, :3])
-        for link, T in zip(hand.hand.links, state.T_camera_link, strict=True)
+        hand.hand.links[i].distance_field.distance(
+            (points - state.T_camera_link[i][:3, 3]) @ state.T_camera_link[i][:3, :3]
+        )
+        for i in (range(len(hand.hand.links)) if links is None else links)
     ]
     return np.min(distances, axis=0).astype(np.float32)

@@ -112,9 +112,7 @@ def nowhere() -> HandState:
 
 def scored(evidence: Evidence, obj: PackedObject, T: np.ndarray, **options: Any) -> np.ndarray:
     given_options = {"model_points": 1000, "segment_points": 10_000, "tolerance": TOLERANCE}
-    return score(
-        evidence, obj, device_poses(T, "cpu"), np.arange(len(T)), **(given_options | options)
-    )
+    return score(evidence, obj, device_poses(T, "cpu"), **(given_options | options))
 
 
 def frontal_area(obj: PackedObject, z: float) -> float:
@@ -152,34 +150,6 @@ def test_what_the_hand_hides_is_not_held_against_a_pose(slab: PackedObject) -> N
 def test_outside_the_image_nothing_is_judged(slab: PackedObject) -> None:
     evidence = evidence_of(view(SMALL, WALL))
     assert scored(evidence, slab, np.concatenate([at(WALL, x=2.0), at(-WALL)])).tolist() == [0, 0]
-
-
-def test_poses_are_scored_by_index_and_empty_draws_last(slab: PackedObject) -> None:
-    poses = np.concatenate([at(WALL), at(WALL + 0.5 * TOLERANCE), at(WALL, x=0.05)])
-    poses = np.concatenate([poses, np.zeros((1, 4, 4))])
-    evidence = evidence_of(view(SMALL, WALL))
-    everything = scored(evidence, slab, poses)
-    assert everything.argmin() == 3
-    index = np.array([2, 0, 3, 0])
-    some = score(
-        evidence,
-        slab,
-        device_poses(poses, "cpu"),
-        index,
-        model_points=1000,
-        segment_points=1000,
-        tolerance=TOLERANCE,
-    )
-    np.testing.assert_array_equal(some, everything[index])
-
-
-def test_hopeless_poses_rank_below_the_others(slab: PackedObject) -> None:
-    poses = np.concatenate([at(WALL + dz) for dz in (0, 0.003, -0.005, -0.05, -0.1)])
-    evidence = evidence_of(view(SMALL, WALL))
-    full = scored(evidence, slab, poses)
-    early = scored(evidence, slab, poses, early_points=50, hopeless=0.0)
-    np.testing.assert_array_equal(early[:3], full[:3])
-    assert early[3:].max() < early[:3].min()
 
 
 def surface_segment(obj: PackedObject, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

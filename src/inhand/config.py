@@ -209,30 +209,34 @@ class EvidenceConfig(Section):
 
     hand_step: int = 2
     """The hand is rendered at every so-many-th pixel."""
-    violation: NonNegative = 1.5
+    violation: NonNegative = 2.0
     """Penalty of a model point that the camera looked through, in units of one that agrees."""
-    missing: NonNegative = 0.4
+    missing: NonNegative = 1.0
     """Penalty of a model point in the middle of an area without readings."""
-    hidden: NonNegative = 0.5
+    hidden: NonNegative = 0.1
     """Penalty of a model point behind a reading that the hand does not explain."""
     near: float = 0.004
     """A segment point this near to the model's surface is explained [m]."""
-    share_weight: Share = 0.7
+    share_weight: NonNegative = 2.0
     """Weight of the explained share of the segment against the visible share of the model."""
-    free_penetration: NonNegative = 0.003
+    free_penetration: NonNegative = 0.0015
     """Penetration of the hand that model errors explain [m]."""
-    penetration_scale: float = 0.010
+    penetration_scale: float = 0.008
     """Penetration beyond that costs one agreeing surface per this length [m]."""
     free_gap: NonNegative = 0.005
-    """Gap between object and hand that model errors explain [m]."""
+    """Gap between object and nearest finger that model errors explain [m]."""
     uncertain_gap: NonNegative = 0.040
     """The same while the place of some link is unknown [m]."""
     gap_scale: float = 0.030
     """A gap beyond that costs one agreeing surface per this length [m]."""
-    seen_finger_apart: NonNegative = 0.3
-    """Penalty when no finger link that the image supports touches the object."""
+    finger_apart: NonNegative = 0.5
+    """Penalty when no finger touches the object; a part of it for every finger that does not."""
+    free_finger_gap: NonNegative = 0.002
+    """A finger this near touches the object [m]."""
+    finger_gap_scale: float = 0.020
+    """A finger farther away than that by this much does not [m]."""
     max_contact_penalty: NonNegative = 1.0
-    """Penalty of penetration or gap at most."""
+    """Penalty of penetration or of the gap to the nearest finger at most."""
 
 
 @dataclass(frozen=True)
@@ -253,14 +257,12 @@ class HypothesesConfig(Section):
     """`pairs`: longest wanted pair, in object diameters."""
     tolerance: float = 0.006
     """`pairs`: depth agreement of a model point with its pixel [m]."""
-    model_points: int = 48
+    model_points: int = 24
     """`pairs`: model points in the first scoring."""
-    early_points: int = 16
-    """`pairs`: after so many model points a hopeless pose is given up."""
-    hopeless: Real = -0.4
-    """`pairs`: a pose whose visible score is lower is hopeless."""
-    segment_points: int = 48
-    """`pairs`: segment points in the first scoring."""
+    contact_points: int = 8
+    """`pairs`: model points held against the hand in it."""
+    segment_points: int = 24
+    """`pairs`: segment points in it."""
     heuristic_decay: float = 300.0
     """lambda of pi(p) ~ 1 - exp(-lambda SDF) [1/m]."""
     heuristic: bool = True
@@ -304,7 +306,7 @@ class ClusteringConfig(Section):
 
     method: Literal["distinct", "se3"] = "distinct"
     """`se3`: the paper's, Euclidean then geodesic; `distinct`: greedy by score."""
-    shortlist: int = 1000
+    shortlist: int = 500
     """`distinct`: hypotheses scored again."""
     tolerance: float = 0.006
     """`distinct`: depth agreement of a model point with its pixel [m]."""

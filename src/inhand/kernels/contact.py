@@ -1,39 +1,48 @@
-"""How near an object comes to the hand, for many object poses."""
+"""How near an object comes to the links of the hand, for many object poses."""
 
 import warp as wp
 
-from inhand.kernels.bodies import nearest_body
-from inhand.kernels.fields import Fields
+from inhand.kernels.fields import Fields, field_at
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def hand_clearance(
+def link_clearances(
     T_camera_object: wp.array(dtype=wp.mat44),
     points: wp.array(dtype=wp.vec3),
     n_points: int,
     fields: Fields,
     spheres: wp.array(dtype=wp.vec4),
     T_camera_link: wp.array(dtype=wp.mat44),
-    used: wp.array(dtype=int),
     farthest: float,
     clearance: wp.array(dtype=float),
     first: int,
 ):
-    """One work item an object pose: smallest signed distance of its surface to the hand [m].
+    """One work item a pair of object pose and link: smallest signed distance of the object's
+    surface to the link [m].
 
     Args (beyond the obvious):
         points: surface samples of the object, object frame; the first `n_points` are used.
-        used: per link, 0 leaves it out.
+        spheres: bounding sphere of every link, link frame (centre, radius) [m].
         farthest: larger distances are cut off here [m].
-        clearance: out; negative is the depth of the penetration.
+        clearance: out, flat (pose, link); negative is the depth of the penetration.
     """
     i = first + wp.tid()
+    n_links = spheres.shape[0]
+    link = i % n_links
+    T_link = T_camera_link[link]
+    inverse = wp.transpose(T_link)
+    origin = wp.vec3(T_link[0, 3], T_link[1, 3], T_link[2, 3])
+    T_object = T_camera_object[i // n_links]
+    s = spheres[link]
+    centre = wp.vec3(s[0], s[1], s[2])
     nearest = farthest
     for k in range(n_points):
-        p = wp.transform_point(T_camera_object[i], points[k])
-        nearest, _gradient, _link = nearest_body(
-            fields, spheres, T_camera_link, 0, used, 0, p, nearest
-        )
+        p = wp.transform_point(T_object, points[k])
+        local = wp.transform_vector(inverse, p - origin)
+        offset = local - centre
+        bound = s[3] + wp.max(nearest, 0.0)
+        if wp.dot(offset, offset) < bound * bound:
+            nearest = wp.min(nearest, field_at(fields, link, local)[0])
     clearance[i] = nearest

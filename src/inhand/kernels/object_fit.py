@@ -97,34 +97,22 @@ def score_poses(
     e: ObjectEvidence,
     rule: Visibility,
     T_camera_object: wp.array(dtype=wp.mat44),
-    index: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3),
     normals: wp.array(dtype=wp.vec3),
     n_points: int,
     fields: Fields,
     segment_stride: int,
-    early_points: int,
-    hopeless: float,
     score: wp.array(dtype=float),
     first: int,
 ):
-    """One work item a pose `index[i]`: how well it explains the image and the segment.
+    """One work item a pose: how well it explains the image and the segment.
 
     Args (beyond the obvious):
         points, normals: model surface samples, object frame; the first `n_points` are used.
         segment_stride: every how many segment points one is used.
-        early_points, hopeless: a pose whose visible score after the first `early_points` model
-            points is below `hopeless` keeps that, less 1.
     """
     i = first + wp.tid()
-    T = T_camera_object[index[i]]
-    if T[3, 3] == 0.0:
-        score[i] = -1.0e6
-        return
-    early = visible_score(e, rule, T, points, normals, early_points)
-    if early < hopeless:
-        score[i] = early - 1.0
-        return
+    T = T_camera_object[i]
     score[i] = visible_score(e, rule, T, points, normals, n_points) + (
         e.share_weight * explained_share(e, T, fields, segment_stride)
     )

@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import EvidenceConfig
-from inhand.kernels.contact import hand_clearance
+from inhand.kernels.contact import link_clearances
 from inhand.kernels.hand_fit import Visibility
 from inhand.kernels.launch import launch
 from inhand.kernels.object_fit import ObjectEvidence, score_poses
@@ -68,28 +68,22 @@ def score(
     evidence: Evidence,
     obj: PackedObject,
     T_camera_object: Any,
-    index: NDArray[np.integer[Any]],
     *,
     model_points: int,
     segment_points: int,
     tolerance: float,
-    early_points: int = 0,
-    hopeless: float = 0.0,
 ) -> NDArray[np.float32]:
-    """Scores, shape (k,), of the poses at `index` of a device array of poses.
+    """Scores, shape (m,), of poses.
 
     Args:
         evidence: the evidence.
         obj: the object.
         T_camera_object: poses on the device, `wp.array` of `wp.mat44`.
-        index: which poses, shape (k,).
         model_points, segment_points: how many of each are used; more is finer and slower.
         tolerance: depth agreement of a model point with its pixel [m].
-        early_points, hopeless: a pose whose visible score is below `hopeless` after so many model
-            points is given up and ranks below all others; 0 gives up none.
     """
-    device = obj.device
-    out = wp.empty(len(index), dtype=float, device=device)
+    device, count = obj.device, len(T_camera_object)
+    out = wp.empty(count, dtype=float, device=device)
     rule, config = Visibility(), evidence.config
     rule.tolerance, rule.violation = tolerance, config.violation
     rule.missing, rule.hidden = config.missing, config.hidden
@@ -97,9 +91,9 @@ def score(
     n = min(model_points, len(obj.points))
     launch(
         score_poses,
-        len(index),
-        [evidence.arrays, rule, T_camera_object, wp.array(index, dtype=int, device=device)]
-        + [obj.points, obj.normals, n, obj.fields, stride, early_points, hopeless, out],
+        count,
+        [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
+        + [stride, out],
         device,
         work_per_item=n + evidence.segment_size // stride,
     )
@@ -117,63 +111,68 @@ def score_with_contact(
     contact_points: int,
 ) -> NDArray[np.float32]:
     """Scores, shape (m,), of poses (m, 4, 4): as `score`, less the `contact_penalty`."""
-    poses, count = device_poses(T_camera_object, obj.device), len(T_camera_object)
+    poses = device_poses(T_camera_object, obj.device)
     fit = score(
         evidence,
         obj,
         poses,
-        np.arange(count),
         model_points=model_points,
         segment_points=segment_points,
         tolerance=tolerance,
     )
-    return fit - contact_penalty(evidence, obj, poses, count, contact_points)
+    return fit - contact_penalty(evidence, obj, poses, contact_points)
 
 
 def contact_penalty(
-    evidence: Evidence, obj: PackedObject, T_camera_object: Any, count: int, points: int
+    evidence: Evidence, obj: PackedObject, T_camera_object: Any, points: int
 ) -> NDArray[np.float32]:
-    """Penalty, shape (count,), of poses that run into the hand or that no finger touches.
+    """Penalty, shape (m,), of poses that run into the hand or that its fingers do not touch.
 
     Where a link is that the image does not support is unknown: the object may run into it, and may
-    touch it elsewhere. That only such links touch it is possible but less likely.
+    touch it elsewhere.
     """
-    c, certain, palm = evidence.config, evidence.hand_state.certain, evidence.hand.is_palm
-    seen = certain & ~palm
+    c, hand = evidence.config, evidence.hand
+    certain = evidence.hand_state.certain
     free_gap = c.free_gap if certain.all() else c.uncertain_gap
     farthest = free_gap + c.max_contact_penalty * c.gap_scale
-    depth = -_clearance(evidence, obj, T_camera_object, count, points, certain, 0.0)
-    gap = _clearance(evidence, obj, T_camera_object, count, points, ~palm, farthest)
+    clearance = clearances(T_camera_object, obj, points, hand, evidence.hand_state, farthest)
+    depth = -clearance[:, certain].min(axis=1, initial=0.0)
+    gaps = np.stack([clearance[:, f.links].min(axis=1) for f in hand.hand.fingers], axis=1)
     penalty = np.maximum(
-        (depth - c.free_penetration) / c.penetration_scale, (gap - free_gap) / c.gap_scale
+        (depth - c.free_penetration) / c.penetration_scale,
+        (gaps.min(axis=1) - free_gap) / c.gap_scale,
     )
-    penalty = np.clip(penalty, 0, c.max_contact_penalty)
-    if seen.any():
-        gap = _clearance(evidence, obj, T_camera_object, count, points, seen, farthest)
-        apart = np.clip((gap - c.free_gap) / c.gap_scale, 0, 1)
-        penalty += c.seen_finger_apart * apart
+    apart = np.clip((gaps - c.free_finger_gap) / c.finger_gap_scale, 0, 1).mean(axis=1)
+    penalty = np.clip(penalty, 0, c.max_contact_penalty) + c.finger_apart * apart
     return np.asarray(penalty, dtype=np.float32)
 
 
-def _clearance(
-    evidence: Evidence,
-    obj: PackedObject,
+def clearances(
     T_camera_object: Any,
-    count: int,
+    obj: PackedObject,
     points: int,
-    links: NDArray[np.bool_],
+    hand: PackedHand,
+    hand_state: HandState,
     farthest: float,
 ) -> NDArray[np.float32]:
-    """Smallest signed distance [m], shape (count,), of posed objects to some links of the hand."""
-    device, hand, points = obj.device, evidence.hand, min(points, len(obj.points))
-    clearance = wp.empty(count, dtype=float, device=device)
+    """Smallest signed distances [m], shape (m, L), of posed objects to each link of the hand.
+
+    Args:
+        T_camera_object: poses on the device, `wp.array` of `wp.mat44`.
+        obj: the object.
+        points: surface samples of the object that are used at most.
+        hand, hand_state: the hand and where it is.
+        farthest: larger distances are cut off here [m].
+    """
+    device, count, links = obj.device, len(T_camera_object), len(hand.hand.links)
+    points = min(points, len(obj.points))
+    clearance = wp.empty(count * links, dtype=float, device=device)
     launch(
-        hand_clearance,
-        count,
+        link_clearances,
+        count * links,
         [T_camera_object, obj.points, points, hand.fields, hand.spheres]
-        + [device_poses(evidence.hand_state.T_camera_link, device)]
-        + [wp.array(links.astype(np.int32), dtype=int, device=device), farthest, clearance],
+        + [device_poses(hand_state.T_camera_link, device), farthest, clearance],
         device,
-        work_per_item=4 * points,
+        work_per_item=points,
     )
-    return np.asarray(clearance.numpy())
+    return np.asarray(clearance.numpy().reshape(count, links))

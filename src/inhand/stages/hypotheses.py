@@ -12,7 +12,7 @@ from inhand.kernels.launch import launch
 from inhand.kernels.pair_matching import PairTable, match_pairs
 from inhand.packed import PackedObject
 from inhand.stages.congruent_sets import generate_from_congruent_sets
-from inhand.stages.evidence import Evidence, score
+from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.results import PoseSet, Segment
 
 
@@ -35,22 +35,20 @@ def generate_hypotheses(
     if config.method == "congruent_sets":
         return generate_from_congruent_sets(segment, obj, config, rng)
     a, b = _sample_pairs(segment, obj, config, rng)
-    poses = _match(segment, obj, a, b, config, int(rng.integers(2**31)))
-    matched = np.flatnonzero(poses.numpy()[:, 3, 3] > 0)
-    if not len(matched):
+    drawn = _match(segment, obj, a, b, config, int(rng.integers(2**31))).numpy()
+    poses = drawn[drawn[:, 3, 3] > 0]
+    if not len(poses):
         raise NoAnswer("no part of the object segment matches the object's shape")
-    scores = score(
+    scores = score_with_contact(
         evidence,
         obj,
         poses,
-        matched,
         model_points=config.model_points,
         segment_points=config.segment_points,
         tolerance=config.tolerance,
-        early_points=config.early_points,
-        hopeless=config.hopeless,
+        contact_points=config.contact_points,
     )
-    return PoseSet(poses.numpy()[matched], scores)
+    return PoseSet(poses, scores)
 
 
 def _sample_pairs(

@@ -28,6 +28,8 @@ def fit_wrist(
     """
     if config.method == "icp":
         return fit_wrist_icp(observation, hand, config)
+    if not hand.is_palm.any():  # nothing shows where the wrist is but the fingers
+        return Wrist(observation.T_camera_hand)
     visibility = HandVisibility(observation, hand, hand_config)
     palm, rest = hand.hand.palm_links, hand.hand.rest[None]
 
