@@ -23,7 +23,7 @@ SLICED_FROM_OPERATIONS = 60_000
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max_workers=cpu_count(), thread_name_prefix="inhand")
+    return ThreadPoolExecutor(max_workers=cpu_count() - 1, thread_name_prefix="inhand")
 
 
 @cache
@@ -59,14 +59,18 @@ def launch(
         return
     # Two threads that meet an unloaded module would both compile it.
     kernel.module.load(wp.get_device(device), block_dim=1)
-    edges = [dim * i // slices for i in range(slices + 1)]
+    spans = list(itertools.pairwise(dim * i // slices for i in range(slices + 1)))
     jobs = [
         _pool().submit(wp.launch, kernel, dim=b - a, inputs=[*inputs, a], device=device)
-        for a, b in itertools.pairwise(edges)
-        if b > a
+        for a, b in spans
     ]
+    # Rather than sleep, this thread does what no other has begun.
+    for job, (a, b) in reversed(list(zip(jobs, spans, strict=True))):
+        if job.cancel():
+            wp.launch(kernel, dim=b - a, inputs=[*inputs, a], device=device)
     for job in jobs:
-        job.result()
+        if not job.cancelled():
+            job.result()
 
 
 def resolve_device(device: str | None) -> str:
