@@ -1,5 +1,6 @@
 """Hand and object models laid out for kernels on one device."""
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,14 @@ from numpy.typing import NDArray
 
 from inhand.camera import Camera
 from inhand.hand import Hand
-from inhand.kernels.depth import DepthRenderer, bounding_sphere
+from inhand.kernels.depth import DepthRenderer, bounding_sphere, pinhole
 from inhand.kernels.fields import pack_fields
+from inhand.kernels.hand_depth import trace_bodies
+from inhand.kernels.launch import launch
 from inhand.object_model import ObjectModel
+
+NEAREST = 1e-3
+"""A body that comes nearer to the camera's plane than this may show anywhere [m]."""
 
 
 class PackedHand:
@@ -25,7 +31,8 @@ class PackedHand:
         point_start: first sample of every link, numpy (L + 1,).
         spheres: bounding sphere of every link, link frame (centre, radius) [m], `wp.vec4`.
         is_palm: whether each link is rigid with the root, numpy (L,).
-        renderer: ray caster of the links.
+        boxes: bounding boxes of the links, link frames [m], numpy (L, 2, 3).
+        low, high: their corners, `wp.vec3`.
     """
 
     def __init__(self, hand: Hand, device: str) -> None:
@@ -45,7 +52,15 @@ class PackedHand:
             [bounding_sphere(link.mesh) for link in hand.links], dtype=wp.vec4, device=device
         )
         self.is_palm = np.isin(np.arange(len(hand.links)), hand.palm_links)
-        self.renderer = DepthRenderer([link.mesh for link in hand.links], device)
+        self.boxes = np.stack([link.mesh.bounds for link in hand.links])
+        self.low, self.high = (
+            wp.array(corner, dtype=wp.vec3, device=device) for corner in self.boxes.swapaxes(0, 1)
+        )
+
+    @cached_property
+    def renderer(self) -> DepthRenderer:
+        """Ray caster of the links' meshes: exact, and slower than `render`."""
+        return DepthRenderer([link.mesh for link in self.hand.links], self.device)
 
     def link_poses(
         self, q: NDArray[np.float64], T_camera_hand: NDArray[np.float64]
@@ -57,10 +72,22 @@ class PackedHand:
         self, camera: Camera, T_camera_link: NDArray[np.float64], shown: NDArray[np.bool_]
     ) -> Any:
         """Depth image [m] of the links that are `shown` (L,), flat, on the device."""
-        poses = T_camera_link.copy()
-        # No ray meets a link that is put behind the camera.
-        poses[~shown, :3, 3] = [0.0, 0.0, -10.0]
-        return self.renderer.render_on_device(camera, poses)[0]
+        depth = wp.zeros(camera.width * camera.height, dtype=float, device=self.device)
+        windows = _windows(camera, T_camera_link, self.boxes)
+        windows[~shown] = 0
+        if not shown.any():
+            return depth
+        around = [*windows[shown, :2].min(axis=0), *windows[shown, 2:].max(axis=0)]
+        launch(
+            trace_bodies,
+            (around[2] - around[0]) * (around[3] - around[1]),
+            [pinhole(camera), self.fields, self.low, self.high]
+            + [device_poses(T_camera_link, self.device)]
+            + [wp.array(windows, dtype=wp.vec4i, device=self.device), wp.vec4i(*around), depth],
+            self.device,
+            work_per_item=30,
+        )
+        return depth
 
 
 class PackedObject:
@@ -85,6 +112,22 @@ class PackedObject:
         self.pair_first = wp.array(model.pairs.pair_first, dtype=int, device=device)
         self.pair_second = wp.array(model.pairs.pair_second, dtype=int, device=device)
         self.renderer = DepthRenderer([model.mesh], device)
+
+
+def _windows(
+    camera: Camera, T_camera_body: NDArray[np.float64], boxes: NDArray[np.float64]
+) -> NDArray[np.int32]:
+    """Windows (u0, v0, u1, v1), shape (b, 4), of an image that show boxes (b, 2, 3) [m]."""
+    size = [camera.width, camera.height]
+    choices = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(8, 3)
+    corners = boxes[:, choices, [0, 1, 2]] @ T_camera_body[:, :3, :3].swapaxes(1, 2)
+    corners += T_camera_body[:, None, :3, 3]
+    pixels = camera.project(corners.reshape(-1, 3)).reshape(len(boxes), 8, 2)
+    low = np.clip(np.floor(pixels.min(axis=1)), 0, size)
+    high = np.clip(np.floor(pixels.max(axis=1)) + 1, low, size)
+    windows = np.concatenate([low, high], axis=1).astype(np.int32)
+    windows[(corners[..., 2] < NEAREST).any(axis=1)] = [0, 0, *size]
+    return windows
 
 
 def device_poses(T: NDArray[Any], device: str) -> Any:
