@@ -12,7 +12,9 @@ from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer, bounding_sphere, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
+from inhand.kernels.kinematics import Chain
 from inhand.kernels.launch import launch
+from inhand.kinematics import KinematicArrays
 from inhand.object_model import ObjectModel
 
 NEAREST = 1e-3
@@ -30,6 +32,8 @@ class PackedHand:
         link: index of the link of every sample, int.
         point_start: first sample of every link, numpy (L + 1,).
         spheres: bounding sphere of every link, link frame (centre, radius) [m], `wp.vec4`.
+        chain: the kinematics, `kernels.kinematics.Chain`.
+        lower, upper: limits of the independent joints [rad, m], float64 (n).
         is_palm: whether each link is rigid with the root, numpy (L,).
         boxes: bounding boxes of the links, link frames [m], numpy (L, 2, 3).
         low, high: their corners, `wp.vec3`.
@@ -50,6 +54,10 @@ class PackedHand:
         self.link = wp.array(np.repeat(np.arange(len(counts)), counts), dtype=int, device=device)
         self.spheres = wp.array(
             [bounding_sphere(link.mesh) for link in hand.links], dtype=wp.vec4, device=device
+        )
+        self.chain = pack_chain(hand.chain, device)
+        self.lower, self.upper = (
+            wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
         )
         self.is_palm = np.isin(np.arange(len(hand.links)), hand.palm_links)
         self.boxes = np.stack([link.mesh.bounds for link in hand.links])
@@ -112,6 +120,24 @@ class PackedObject:
         self.pair_first = wp.array(model.pairs.pair_first, dtype=int, device=device)
         self.pair_second = wp.array(model.pairs.pair_second, dtype=int, device=device)
         self.renderer = DepthRenderer([model.mesh], device)
+
+
+def pack_chain(arrays: KinematicArrays, device: str) -> Any:
+    """The kinematics of a hand, or of a part of it, as a kernel argument."""
+    chain = Chain()
+    for name, dtype in (
+        ("parent", int),
+        ("T_parent_joint", wp.mat44d),
+        ("axis", wp.vec3d),
+        ("kind", int),
+        ("source", int),
+        ("multiplier", wp.float64),
+        ("offset", wp.float64),
+        ("link_joint", int),
+        ("T_joint_link", wp.mat44d),
+    ):
+        setattr(chain, name, wp.array(getattr(arrays, name), dtype=dtype, device=device))
+    return chain
 
 
 def _windows(
