@@ -39,7 +39,7 @@ def scores(
         c,
         [seen_by, rule, device_poses(poses, "cpu"), 1]
         + [wp.array(points, dtype=wp.vec3), wp.array(normals, dtype=wp.vec3)]
-        + [wp.zeros(n, dtype=int), wp.array(np.arange(n), dtype=int)]
+        + [wp.zeros(n, dtype=int), n]
         + [wp.array(other, dtype=float), 1, score, seen],
         "cpu",
         work_per_item=n,
@@ -174,16 +174,17 @@ def test_scores_of_fingers_are_those_of_brute_force() -> None:
     palm_only = np.isin(np.arange(len(hand.hand.links)), hand.hand.palm_links)
     fixed = hand.render(camera, poses[0], palm_only)
     for k, finger in enumerate(hand.hand.fingers):
-        samples = np.concatenate([np.arange(*hand.point_start[[i, i + 1]]) for i in finger.links])
+        part = hand.fingers[k]
+        samples = sum(len(hand.hand.links[i].surface.points) for i in finger.links)
         score, seen = (wp.empty(len(q), dtype=float, device="cpu") for _ in range(2))
         launch(
             score_configurations,
             len(q),
-            [depth_view(scene.observation), rule, device_poses(poses, "cpu"), len(hand.hand.links)]
-            + [hand.points, hand.normals, hand.link, wp.array(samples, dtype=int), fixed, 1]
+            [depth_view(scene.observation), rule, part.pose(q[:, part.joints], wrists)]
+            + [len(part.links), part.points, part.normals, part.link, samples, fixed, 1]
             + [score, seen],
             "cpu",
-            work_per_item=len(samples),
+            work_per_item=samples,
         )
         image = fixed.numpy().reshape(camera.height, camera.width)
         expected = np.array([brute_force(scene, k, T, image) for T in poses])

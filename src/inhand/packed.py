@@ -1,5 +1,6 @@
 """Hand and object models laid out for kernels on one device."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -12,7 +13,7 @@ from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer, bounding_sphere, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
-from inhand.kernels.kinematics import Chain
+from inhand.kernels.kinematics import Chain, pose_links
 from inhand.kernels.launch import launch
 from inhand.kinematics import KinematicArrays
 from inhand.object_model import ObjectModel
@@ -35,6 +36,9 @@ class PackedHand:
         chain: the kinematics, `kernels.kinematics.Chain`.
         lower, upper: limits of the independent joints [rad, m], float64 (n).
         is_palm: whether each link is rigid with the root, numpy (L,).
+        whole: all links, `PackedPart`.
+        fingers: the fingers, in the order of `hand.fingers`, `PackedPart`.
+        finger_links: their links one by one, `PackedPart`.
         boxes: bounding boxes of the links, link frames [m], numpy (L, 2, 3).
         low, high: their corners, `wp.vec3`.
     """
@@ -65,6 +69,12 @@ class PackedHand:
             wp.array(corner, dtype=wp.vec3, device=device) for corner in self.boxes.swapaxes(0, 1)
         )
 
+        self.whole = PackedPart(hand, range(len(hand.links)), device)
+        self.fingers = [PackedPart(hand, finger.links, device) for finger in hand.fingers]
+        self.finger_links = [
+            [PackedPart(hand, [link], device) for link in finger.links] for finger in hand.fingers
+        ]
+
     @cached_property
     def renderer(self) -> DepthRenderer:
         """Ray caster of the links' meshes: exact, and slower than `render`."""
@@ -77,10 +87,20 @@ class PackedHand:
         return np.asarray(T_camera_hand[:, None] @ self.hand.forward_kinematics(q))
 
     def render(
-        self, camera: Camera, T_camera_link: NDArray[np.float64], shown: NDArray[np.bool_]
+        self,
+        camera: Camera,
+        T_camera_link: NDArray[np.floating[Any]],
+        shown: NDArray[np.bool_],
+        others: Any = None,
     ) -> Any:
-        """Depth image [m] of the links that are `shown` (L,), flat, on the device."""
-        depth = wp.zeros(camera.width * camera.height, dtype=float, device=self.device)
+        """Depth image [m] of the links that are `shown` (L,), flat, on the device.
+
+        `others` is an image of what else is there.
+        """
+        if others is None:
+            depth = wp.zeros(camera.width * camera.height, dtype=float, device=self.device)
+        else:
+            depth = wp.clone(others)
         windows = _windows(camera, T_camera_link, self.boxes)
         windows[~shown] = 0
         if not shown.any():
@@ -96,6 +116,53 @@ class PackedHand:
             work_per_item=30,
         )
         return depth
+
+
+class PackedPart:
+    """Some links of a hand with the joints that move them, on a device.
+
+    Attributes:
+        links: their indices, numpy (l,).
+        joints: indices of the k independent joints that move them, numpy (k,).
+        chain: the kinematics of these alone, `kernels.kinematics.Chain`.
+        points, normals: surface samples, `wp.vec3`, the first of every link first.
+        link: which of the links each sample is on, int.
+        counts: number of samples of every link, numpy (l,).
+    """
+
+    def __init__(self, hand: Hand, links: Sequence[int], device: str) -> None:
+        self.device, self.links = device, np.array(links)
+        chain, self.joints = hand.chain.part(links)
+        self.chain, self._joint_count = pack_chain(chain, device), len(chain.parent)
+        surfaces = [hand.links[i].surface for i in links]
+        self.counts = np.array([len(surface.points) for surface in surfaces])
+        order = np.argsort(np.concatenate([np.arange(n) for n in self.counts]), kind="stable")
+        self.points, self.normals = (
+            wp.array(np.concatenate(vectors)[order], dtype=wp.vec3, device=device)
+            for vectors in ([x.points for x in surfaces], [x.normals for x in surfaces])
+        )
+        link = np.repeat(np.arange(len(links)), self.counts)[order]
+        self.link = wp.array(link, dtype=int, device=device)
+
+    def pose(self, q: NDArray[np.float64], T_camera_hand: NDArray[np.float64]) -> Any:
+        """Link poses, flat (c * l), on the device.
+
+        Args:
+            q: positions of the joints [rad, m], shape (c, k).
+            T_camera_hand: wrist poses, shape (c, 4, 4), or (1, 4, 4) for all.
+        """
+        joints = wp.empty((len(q), self._joint_count), dtype=wp.mat44d, device=self.device)
+        links = wp.empty(len(q) * len(self.links), dtype=wp.mat44, device=self.device)
+        wrists = wp.array(T_camera_hand, dtype=wp.mat44d, device=self.device)
+        positions = wp.array(q, dtype=wp.float64, device=self.device)
+        launch(
+            pose_links,
+            len(q),
+            [self.chain, positions, wrists, joints, links],
+            self.device,
+            work_per_item=20 * self._joint_count,
+        )
+        return links
 
 
 class PackedObject:
@@ -141,7 +208,7 @@ def pack_chain(arrays: KinematicArrays, device: str) -> Any:
 
 
 def _windows(
-    camera: Camera, T_camera_body: NDArray[np.float64], boxes: NDArray[np.float64]
+    camera: Camera, T_camera_body: NDArray[np.floating[Any]], boxes: NDArray[np.float64]
 ) -> NDArray[np.int32]:
     """Windows (u0, v0, u1, v1), shape (b, 4), of an image that show boxes (b, 2, 3) [m]."""
     size = [camera.width, camera.height]

@@ -51,7 +51,7 @@ def trace_bodies(
         low, high: corners of every body's bounding box, body frame [m].
         windows: per body, the pixels (u0, v0, u1, v1) that it can show in, the ends not included.
         around: a window around these.
-        depth: out, of the whole image; left as it is where the ray meets nothing.
+        depth: in and out, of the whole image: what else is there [m], or 0.
     """
     item = first + wp.tid()
     columns = around[2] - around[0]
@@ -59,7 +59,10 @@ def trace_bodies(
     v = around[1] + item // columns
     ray = wp.vec3((float(u) - camera.cx) / camera.fx, (float(v) - camera.cy) / camera.fy, 1.0)
     length = wp.length(ray)
-    nearest = float(1.0e6)
+    pixel = v * camera.width + u
+    nearest = depth[pixel]
+    if nearest <= 0.0:
+        nearest = 1.0e6
     for body in range(windows.shape[0]):
         window = windows[body]
         if u < window[0] or v < window[1] or u >= window[2] or v >= window[3]:
@@ -77,9 +80,9 @@ def trace_bodies(
             value = field_at(fields, body, origin + z * direction)
             approach = -wp.dot(wp.vec3(value[1], value[2], value[3]), direction)
             if value[0] * length < AHEAD * approach:
-                nearest = z + value[0] / wp.max(approach, 0.1)
+                nearest = wp.min(nearest, z + value[0] / wp.max(approach, 0.1))
                 end = 0.0
             z += wp.max(0.9 * value[0], 0.5 * AHEAD) / length
             step += 1
     if nearest < 1.0e6:
-        depth[v * camera.width + u] = nearest
+        depth[pixel] = nearest

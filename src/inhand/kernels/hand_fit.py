@@ -83,7 +83,7 @@ def score_configurations(
     points: wp.array(dtype=wp.vec3),
     normals: wp.array(dtype=wp.vec3),
     link: wp.array(dtype=int),
-    samples: wp.array(dtype=int),
+    n_samples: int,
     fixed_depth: wp.array(dtype=float),
     fixed_step: int,
     score: wp.array(dtype=float),
@@ -94,7 +94,7 @@ def score_configurations(
 
     Args (beyond the obvious):
         T_camera_link: link poses of all configurations, flat (c * n_links).
-        samples: indices of the surface samples that take part.
+        n_samples: the first so many surface samples take part.
         fixed_depth: rendered depth [m] of the parts that do not move, at every `fixed_step`-th
             pixel; what they hide is left out.
         score: out, mean judgement weighted by the projected area.
@@ -104,8 +104,7 @@ def score_configurations(
     total = float(0.0)
     open_area = float(0.0)
     area = float(1.0e-6)
-    for s in range(samples.shape[0]):
-        i = samples[s]
+    for i in range(n_samples):
         T = T_camera_link[c * n_links + link[i]]
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])

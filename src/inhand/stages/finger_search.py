@@ -1,6 +1,6 @@
 """Search of single fingers over their whole range, by what the camera should see of them."""
 
-from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from inhand.config import HandStateConfig
-from inhand.hand import Finger
 from inhand.kernels.hand_fit import Visibility, score_configurations
 from inhand.kernels.launch import launch
 from inhand.kinematics import PRISMATIC
-from inhand.packed import PackedHand, device_poses
+from inhand.packed import PackedHand, PackedPart
 from inhand.stages.articulated_fit import depth_view
 from inhand.stages.observation import Observation
 
@@ -46,19 +45,17 @@ class FingerSearch:
         All fingers are searched alone first; then in the order of their scores, each beside those
         before it.
         """
-        palm = self._render(self.hand.rest, T_camera_hand, [])
-        alone = [self._search(finger, T_camera_hand, palm, rng) for finger in self.hand.fingers]
-        found = [configurations for configurations, _ in alone]
-        order = np.argsort([-score for _, score in alone])
-        q = self.hand.rest.copy()
-        placed: list[Finger] = []
-        for rank, i in enumerate(order):
-            finger = self.hand.fingers[i]
+        fingers, q = self.packed.fingers, self.hand.rest.copy()
+        there = self._palm(q, T_camera_hand)
+        alone = [self._search(finger, T_camera_hand, there) for finger in fingers]
+        found = [tried for tried, _ in alone]
+        for rank, i in enumerate(np.argsort([-score.max() for _, score in alone])):
+            tried, score = alone[i]
             if rank > 0:
-                others = self._render(q, T_camera_hand, placed)
-                found[i], _ = self._search(finger, T_camera_hand, others, rng)
-            q[list(finger.joints)] = found[i][0]
-            placed.append(finger)
+                tried, score = self._search(fingers[i], T_camera_hand, there)
+            found[i] = self._look_around(fingers[i], tried, score, T_camera_hand, there, rng)
+            q[fingers[i].joints] = found[i][0]
+            there = self._beside(there, fingers[i], q, T_camera_hand)
         return found
 
     def best_combination(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
@@ -68,18 +65,16 @@ class FingerSearch:
             q: refined joint vectors, shape (s, n).
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
-        palm = self._render(self.hand.rest, T_camera_hand[0], [])
-        alone = [self._score(f.links, q, T_camera_hand, palm)[0] for f in self.hand.fingers]
-        total = np.sum(alone, axis=0)
-        T = T_camera_hand[total.argmax()]
-        combined = q[total.argmax()].copy()
-        placed: list[Finger] = []
-        for i in np.argsort([-score.max() for score in alone]):
-            finger = self.hand.fingers[i]
-            others = self._render(combined, T, placed)
-            score = self._score(finger.links, q, T_camera_hand, others)[0]
-            combined[list(finger.joints)] = q[score.argmax()][list(finger.joints)]
-            placed.append(finger)
+        there, fingers = self._palm(self.hand.rest, T_camera_hand[0]), self.packed.fingers
+        alone = [self._score(f, q[:, f.joints], T_camera_hand, there)[0] for f in fingers]
+        best = np.sum(alone, axis=0).argmax()
+        T, combined = T_camera_hand[best], q[best].copy()
+        for rank, i in enumerate(np.argsort([-score.max() for score in alone])):
+            joints, score = fingers[i].joints, alone[i]
+            if rank > 0:
+                score, _ = self._score(fingers[i], q[:, joints], T_camera_hand, there)
+            combined[joints] = q[score.argmax(), joints]
+            there = self._beside(there, fingers[i], combined, T)
         return combined, T
 
     def link_support(self, q: Array, T_camera_hand: Array) -> Array:
@@ -90,89 +85,114 @@ class FingerSearch:
             T_camera_hand: wrist pose, shape (4, 4).
         """
         support = np.zeros(len(self.hand.links))
-        for finger in self.hand.fingers:
-            others = [other for other in self.hand.fingers if other is not finger]
-            depth = self._render(q, T_camera_hand, others)
-            for link in finger.links:
-                support[link] = self._support((link,), q, T_camera_hand, depth)
+        palm = self._palm(q, T_camera_hand)
+        for finger, links in zip(self.packed.fingers, self.packed.finger_links, strict=True):
+            there = palm
+            for other in self.packed.fingers:
+                if other is not finger:
+                    there = self._beside(there, other, q, T_camera_hand)
+            for link in links:
+                support[link.links] = self._support(link, q, T_camera_hand, there)
         return support
 
     def hand_support(self, q: Array, T_camera_hand: Array) -> float:
         """Score of the whole hand per share of it that nothing hides; arguments as above."""
         pixels = self.camera.width * self.camera.height
         nothing = wp.zeros(pixels, dtype=float, device=self.packed.device)
-        return self._support(range(len(self.hand.links)), q, T_camera_hand, nothing)
+        return self._support(self.packed.whole, q, T_camera_hand, nothing)
 
-    def _support(self, links: Sequence[int], q: Array, T_camera_hand: Array, others: Any) -> float:
-        score, seen = self._score(links, q[None], T_camera_hand[None], others)
+    def _support(self, part: PackedPart, q: Array, T_camera_hand: Array, others: Any) -> float:
+        score, seen = self._score(part, q[None, part.joints], T_camera_hand[None], others)
         return float(score[0]) / max(float(seen[0]), self.config.min_seen)
 
-    def _search(
-        self, finger: Finger, T_camera_hand: Array, others: Any, rng: np.random.Generator
-    ) -> tuple[Array, float]:
-        """The best distinct configurations of a finger, best first, and the best score."""
-        config, joints = self.config, list(finger.joints)
+    def _search(self, finger: PackedPart, T_camera_hand: Array, others: Any) -> tuple[Array, Array]:
+        """Configurations (c, k) all over a finger's range, and their scores (c,)."""
+        config, joints = self.config, finger.joints
         lower, upper = self.hand.lower[joints], self.hand.upper[joints]
+        tried = lower + _even_points(len(joints), config.samples) * (upper - lower)
+        score, _ = self._score(
+            finger,
+            tried,
+            T_camera_hand[None],
+            others,
+            config.coarse_tolerance,
+            config.coarse_points,
+        )
+        return tried, score
 
-        def score(tried: Array, tolerance: float, points: int) -> Array:
-            q = np.repeat(self.hand.rest[None], len(tried), 0)
-            q[:, joints] = tried
-            poses = np.repeat(T_camera_hand[None], len(q), 0)
-            return self._score(finger.links, q, poses, others, tolerance, points)[0]
-
-        sampler = qmc.Sobol(len(joints), seed=rng)
-        tried = lower + sampler.random_base2(int(np.log2(config.samples))) * (upper - lower)
-        scores = score(tried, config.coarse_tolerance, config.coarse_points)
+    def _look_around(
+        self,
+        finger: PackedPart,
+        tried: Array,
+        score: Array,
+        T_camera_hand: Array,
+        others: Any,
+        rng: np.random.Generator,
+    ) -> Array:
+        """The best distinct configurations (a, k) near those of a search, best first."""
+        config, joints = self.config, finger.joints
         scale = self.scale[joints]
-        centres = _distinct(tried, scores, config.distinct_angle * scale, config.alternatives)
+        centres = _distinct(tried, score, config.distinct_angle * scale, config.alternatives)
         spread = rng.normal(
             0, config.local_spread, (len(centres), config.local_samples, len(joints))
         )
         spread[:, 0] = 0.0
-        spread *= scale
-        around = np.clip(centres[:, None] + spread, lower, upper)
-        scores = score(around.reshape(-1, len(joints)), config.fine_tolerance, config.fine_points)
-        scores = scores.reshape(len(centres), -1)
-        best = around[np.arange(len(centres)), scores.argmax(axis=1)]
-        return best[np.argsort(-scores.max(axis=1))], float(scores.max())
+        around = centres[:, None] + spread * scale
+        around = np.clip(around, self.hand.lower[joints], self.hand.upper[joints])
+        flat = around.reshape(-1, len(joints))
+        near = (config.fine_tolerance, config.fine_points)
+        score = self._score(finger, flat, T_camera_hand[None], others, *near)[0]
+        score = score.reshape(len(centres), -1)
+        best = around[np.arange(len(centres)), score.argmax(axis=1)]
+        return best[np.argsort(-score.max(axis=1))]
 
     def _score(
         self,
-        links: Sequence[int],
+        part: PackedPart,
         q: Array,
         T_camera_hand: Array,
         others: Any,
         tolerance: float | None = None,
         points: int | None = None,
     ) -> tuple[Array, Array]:
-        """Visibility score of some links and the share of them that nothing hides, (c,) each.
+        """Visibility score of a part and the share of it that nothing hides, (c,) each.
 
         `points` surface samples of every link are used at most.
         """
-        packed, device, config = self.packed, self.packed.device, self.config
+        device, config, count = part.device, self.config, len(q)
         rule = Visibility()
         rule.tolerance = tolerance or config.fine_tolerance
         rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
-        ranges = [np.arange(*packed.point_start[[i, i + 1]])[:points] for i in links]
-        samples = wp.array(np.concatenate(ranges), dtype=int, device=device)
-        poses = device_poses(packed.link_poses(q, T_camera_hand), device)
-        score = wp.empty(len(q), dtype=float, device=device)
-        seen = wp.empty(len(q), dtype=float, device=device)
+        samples = int(np.minimum(part.counts, points or part.counts).sum())
+        score, seen = (wp.empty(count, dtype=float, device=device) for _ in range(2))
         launch(
             score_configurations,
-            len(q),
-            [self.view, rule, poses, len(self.hand.links), packed.points, packed.normals]
-            + [packed.link, samples, others, config.render_step, score, seen],
+            count,
+            [self.view, rule, part.pose(q, T_camera_hand), len(part.links), part.points]
+            + [part.normals, part.link, samples, others, config.render_step, score, seen],
             device,
-            work_per_item=len(samples),
+            work_per_item=samples,
         )
         return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)
 
-    def _render(self, q: Array, T_camera_hand: Array, fingers: Sequence[Finger]) -> Any:
-        """Depth [m], on the device, of the palm and some fingers at joint vector (n,)."""
-        shown = {*self.hand.palm_links, *(link for finger in fingers for link in finger.links)}
-        poses = self.packed.link_poses(q[None], T_camera_hand[None])[0]
-        return self.packed.render(self.camera, poses, np.isin(np.arange(len(poses)), list(shown)))
+    def _palm(self, q: Array, T_camera_hand: Array) -> Any:
+        """Depth [m] of the palm at a wrist pose (4, 4), on the device."""
+        return self._render(self.packed.is_palm, q, T_camera_hand, None)
+
+    def _beside(self, others: Any, finger: PackedPart, q: Array, T_camera_hand: Array) -> Any:
+        """Depth [m] of a finger at joint vector (n,), and of what else is there."""
+        shown = np.isin(np.arange(len(self.hand.links)), finger.links)
+        return self._render(shown, q, T_camera_hand, others)
+
+    def _render(self, shown: NDArray[np.bool_], q: Array, T: Array, others: Any) -> Any:
+        poses = self.packed.whole.pose(q[None], T[None]).numpy()
+        return self.packed.render(self.camera, poses, shown, others)
+
+
+@cache
+def _even_points(dimension: int, count: int) -> Array:
+    """Points that fill the unit cube evenly, (c, dimension); c is a power of two up to `count`."""
+    return np.asarray(qmc.Sobol(dimension, seed=0).random_base2(int(np.log2(count))))
 
 
 def _distinct(tried: Array, score: Array, apart: Array, keep: int) -> Array:
