@@ -85,10 +85,14 @@ def fit_of(
 
 
 def system(
-    fit: ArticulatedFit, q: np.ndarray, T_camera_hand: np.ndarray, width: float = 0.01
+    fit: ArticulatedFit,
+    q: np.ndarray,
+    T_camera_hand: np.ndarray,
+    width: float = 0.01,
+    stride: int = 1,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal equations (s, 6 + n, 6 + n) and (s, 6 + n), and the twists of the joints (s, j, 6)."""
-    run = fit.begin(q, T_camera_hand, np.array([width]))
+    run = fit.begin(q, T_camera_hand, np.array([width]), stride)
     run.assemble()
     return run.H.numpy(), run.g.numpy(), run.twists.numpy()
 
@@ -264,6 +268,21 @@ def test_surface_samples_are_pulled_along_the_derivative_of_their_plane(seed: in
         return np.asarray((n * (reading - surface(q, T, "points"))).sum(axis=1))
 
     check_system(fit, residuals, weights, q, T, width)
+
+
+@pytest.mark.parametrize("stride", [2, 3])
+def test_every_so_many_th_point_can_take_part(stride: int) -> None:
+    hand = gripper()
+    blind = replace(
+        seen(hand, GRIPPER_Q, wrist()),
+        depth_on_device=wp.zeros(CAMERA.width * CAMERA.height, dtype=float, device="cpu"),
+    )
+    fewer = replace(blind, points=blind.points[::stride], normals=blind.normals[::stride])
+    q, T = GRIPPER_Q[None] + 0.002, wrist()[None]
+    H, g, _ = system(fit_of(blind, hand), q, T, stride=stride)
+    H_fewer, g_fewer, _ = system(fit_of(fewer, hand), q, T)
+    np.testing.assert_allclose(H, H_fewer, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(g, g_fewer, rtol=1e-4, atol=1e-4)
 
 
 # Refinement

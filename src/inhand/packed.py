@@ -39,8 +39,8 @@ class PackedHand:
         whole: all links, `PackedPart`.
         fingers: the fingers, in the order of `hand.fingers`, `PackedPart`.
         finger_links: their links one by one, `PackedPart`.
-        boxes: bounding boxes of the links, link frames [m], numpy (L, 2, 3).
-        low, high: their corners, `wp.vec3`.
+        low, high: opposite corners of the links' bounding boxes, link frames [m], `wp.vec3`.
+        corners: all corners of these, numpy (L, 8, 3).
     """
 
     def __init__(self, hand: Hand, device: str) -> None:
@@ -64,9 +64,12 @@ class PackedHand:
             wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
         )
         self.is_palm = np.isin(np.arange(len(hand.links)), hand.palm_links)
-        self.boxes = np.stack([link.mesh.bounds for link in hand.links])
+        boxes = np.stack([link.mesh.bounds for link in hand.links])
+        self.corners = np.stack(
+            [boxes[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1
+        )
         self.low, self.high = (
-            wp.array(corner, dtype=wp.vec3, device=device) for corner in self.boxes.swapaxes(0, 1)
+            wp.array(corner, dtype=wp.vec3, device=device) for corner in boxes.swapaxes(0, 1)
         )
 
         self.whole = PackedPart(hand, range(len(hand.links)), device)
@@ -101,7 +104,7 @@ class PackedHand:
             depth = wp.zeros(camera.width * camera.height, dtype=float, device=self.device)
         else:
             depth = wp.clone(others)
-        windows = _windows(camera, T_camera_link, self.boxes)
+        windows = _windows(camera, T_camera_link, self.corners)
         windows[~shown] = 0
         if not shown.any():
             return depth
@@ -208,18 +211,23 @@ def pack_chain(arrays: KinematicArrays, device: str) -> Any:
 
 
 def _windows(
-    camera: Camera, T_camera_body: NDArray[np.floating[Any]], boxes: NDArray[np.float64]
+    camera: Camera, T_camera_body: NDArray[np.floating[Any]], corners: NDArray[np.float64]
 ) -> NDArray[np.int32]:
-    """Windows (u0, v0, u1, v1), shape (b, 4), of an image that show boxes (b, 2, 3) [m]."""
+    """Windows (u0, v0, u1, v1), shape (b, 4), of an image that show boxes by their corners.
+
+    Args:
+        camera: the camera.
+        T_camera_body: poses, shape (b, 4, 4).
+        corners: corners of the boxes [m], shape (b, 8, 3).
+    """
     size = [camera.width, camera.height]
-    choices = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(8, 3)
-    corners = boxes[:, choices, [0, 1, 2]] @ T_camera_body[:, :3, :3].swapaxes(1, 2)
-    corners += T_camera_body[:, None, :3, 3]
-    pixels = camera.project(corners.reshape(-1, 3)).reshape(len(boxes), 8, 2)
-    low = np.clip(np.floor(pixels.min(axis=1)), 0, size)
-    high = np.clip(np.floor(pixels.max(axis=1)) + 1, low, size)
+    p = corners @ T_camera_body[:, :3, :3].swapaxes(1, 2) + T_camera_body[:, None, :3, 3]
+    z = np.maximum(p[..., 2:], NEAREST)
+    pixels = p[..., :2] / z * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    low = np.minimum(np.maximum(pixels.min(axis=1), 0), size)
+    high = np.minimum(np.maximum(pixels.max(axis=1) + 1, low), size)
     windows = np.concatenate([low, high], axis=1).astype(np.int32)
-    windows[(corners[..., 2] < NEAREST).any(axis=1)] = [0, 0, *size]
+    windows[p[..., 2].min(axis=1) < NEAREST] = [0, 0, *size]
     return windows
 
 

@@ -84,6 +84,8 @@ def score_configurations(
     normals: wp.array(dtype=wp.vec3),
     link: wp.array(dtype=int),
     n_samples: int,
+    early_samples: int,
+    hopeless: float,
     fixed_depth: wp.array(dtype=float),
     fixed_step: int,
     score: wp.array(dtype=float),
@@ -95,6 +97,8 @@ def score_configurations(
     Args (beyond the obvious):
         T_camera_link: link poses of all configurations, flat (c * n_links).
         n_samples: the first so many surface samples take part.
+        early_samples, hopeless: a configuration that scores less after so many samples is left at
+            that; 0 leaves none.
         fixed_depth: rendered depth [m] of the parts that do not move, at every `fixed_step`-th
             pixel; what they hide is left out.
         score: out, mean judgement weighted by the projected area.
@@ -105,6 +109,8 @@ def score_configurations(
     open_area = float(0.0)
     area = float(1.0e-6)
     for i in range(n_samples):
+        if i > 0 and i == early_samples and total < hopeless * area:
+            break
         T = T_camera_link[c * n_links + link[i]]
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
@@ -173,6 +179,7 @@ def scene_to_hand_terms(
     widths: wp.array(dtype=float),
     iteration: wp.array(dtype=int),
     n_blocks: int,
+    stride: int,
     terms: wp.array(dtype=float),
     first: int,
 ):
@@ -185,7 +192,8 @@ def scene_to_hand_terms(
         T_camera_hand: wrists of all starts; rotations are about their origins.
         widths: width of the redescending weight in every iteration [m].
         iteration: which iteration every start is at.
-        n_blocks: blocks per start; block b takes the points b, b + n_blocks, ...
+        n_blocks: blocks per start, which take turns in taking points.
+        stride: every so-many-th point takes part.
         terms: out, flat (s, block, link, TERMS).
     """
     item = first + wp.tid()
@@ -195,7 +203,7 @@ def scene_to_hand_terms(
         terms[k] = 0.0
     c = wp.vec3(position_of(T_camera_hand[start]))
     width = widths[iteration[start]]
-    for i in range(item % n_blocks, points.shape[0], n_blocks):
+    for i in range(item % n_blocks * stride, points.shape[0], n_blocks * stride):
         p = points[i]
         distance, gradient, k = nearest_body(
             fields, spheres, T_camera_link, start * n_links, used, 0, p, width
@@ -221,6 +229,7 @@ def hand_to_scene_terms(
     widths: wp.array(dtype=float),
     iteration: wp.array(dtype=int),
     n_blocks: int,
+    stride: int,
     terms: wp.array(dtype=float),
     first: int,
 ):
@@ -234,7 +243,7 @@ def hand_to_scene_terms(
     n_links = used.shape[0]
     c = wp.vec3(position_of(T_camera_hand[start]))
     width = widths[iteration[start]]
-    for i in range(block, points.shape[0], n_blocks):
+    for i in range(block * stride, points.shape[0], n_blocks * stride):
         k = link[i]
         if used[k] == 0:
             continue

@@ -94,21 +94,26 @@ class ArticulatedFit:
         self.normals = wp.array(observation.normals, dtype=wp.vec3, device=device)
         self.used = wp.array(used.astype(np.int32), dtype=int, device=device)
 
-    def refine(self, q: Array, T_camera_hand: Array, widths: Array) -> tuple[Array, Array]:
+    def refine(
+        self, q: Array, T_camera_hand: Array, widths: Array, stride: int = 1
+    ) -> tuple[Array, Array]:
         """Refined joint vectors (s, n) and wrist poses (s, 4, 4).
 
         Args:
             q: starts [rad], shape (s, n).
             T_camera_hand: starts, shape (s, 4, 4).
             widths: width of the redescending weight in every iteration [m].
+            stride: every so-many-th point takes part.
         """
-        fit = self.begin(q, T_camera_hand, widths)
+        fit = self.begin(q, T_camera_hand, widths, stride)
         for _ in widths:
             fit.assemble()
             fit.step()
         return fit.q.numpy().copy(), fit.T_camera_hand.numpy().copy()
 
-    def begin(self, q: Array, T_camera_hand: Array, widths: Array) -> "FitInProgress":
+    def begin(
+        self, q: Array, T_camera_hand: Array, widths: Array, stride: int = 1
+    ) -> "FitInProgress":
         """A refinement whose iterations are still to be done; arguments as `refine`."""
         hand, device, starts = self.hand, self.hand.device, len(q)
         links, parameters = len(hand.hand.links), 6 + q.shape[1]
@@ -123,7 +128,7 @@ class ArticulatedFit:
         g = empty((starts, parameters), dtype=wp.float64)
         iteration = wp.zeros(starts, dtype=int, device=device)
         all_widths = wp.array(widths, dtype=float, device=device)
-        sums = [self.used, T_link, T_now, all_widths, iteration, BLOCKS, terms]
+        sums = [self.used, T_link, T_now, all_widths, iteration, BLOCKS, stride, terms]
 
         def launches(kernel: Any, items: int, inputs: list[Any], work: int = 1) -> Launch:
             return prepare(kernel, items, inputs, device, work_per_item=work)
@@ -140,13 +145,13 @@ class ArticulatedFit:
                     scene_to_hand_terms,
                     starts * BLOCKS,
                     [self.points, self.normals, hand.fields, hand.spheres, *sums],
-                    len(self.points) // BLOCKS,
+                    10 * len(self.points) // BLOCKS // stride,
                 ),
                 launches(
                     hand_to_scene_terms,
                     starts * BLOCKS,
                     [self.view, hand.points, hand.normals, hand.link, *sums],
-                    len(hand.points) // BLOCKS,
+                    4 * len(hand.points) // BLOCKS // stride,
                 ),
                 launches(
                     normal_equations,
@@ -157,7 +162,7 @@ class ArticulatedFit:
             launches(
                 gauss_newton_step,
                 starts,
-                [H, g, self.point_information, self.prior, self.joint_damping]
+                [H, g, stride * self.point_information, self.prior, self.joint_damping]
                 + [hand.lower, hand.upper, q_now, T_now, iteration],
             ),
         )

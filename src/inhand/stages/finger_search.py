@@ -46,16 +46,17 @@ class FingerSearch:
         before it.
         """
         fingers, q = self.packed.fingers, self.hand.rest.copy()
-        there = self._palm(q, T_camera_hand)
+        there = self._palm(self._poses(q, T_camera_hand))
         alone = [self._search(finger, T_camera_hand, there) for finger in fingers]
         found = [tried for tried, _ in alone]
-        for rank, i in enumerate(np.argsort([-score.max() for _, score in alone])):
+        order = np.argsort([-score.max() for _, score in alone])
+        for rank, i in enumerate(order):
             tried, score = alone[i]
             if rank > 0:
+                there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
                 tried, score = self._search(fingers[i], T_camera_hand, there)
             found[i] = self._look_around(fingers[i], tried, score, T_camera_hand, there, rng)
             q[fingers[i].joints] = found[i][0]
-            there = self._beside(there, fingers[i], q, T_camera_hand)
         return found
 
     def best_combination(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
@@ -65,16 +66,17 @@ class FingerSearch:
             q: refined joint vectors, shape (s, n).
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
-        there, fingers = self._palm(self.hand.rest, T_camera_hand[0]), self.packed.fingers
+        there, fingers = self._palm(self._poses(q[0], T_camera_hand[0])), self.packed.fingers
         alone = [self._score(f, q[:, f.joints], T_camera_hand, there)[0] for f in fingers]
         best = np.sum(alone, axis=0).argmax()
         T, combined = T_camera_hand[best], q[best].copy()
-        for rank, i in enumerate(np.argsort([-score.max() for score in alone])):
+        order = np.argsort([-score.max() for score in alone])
+        for rank, i in enumerate(order):
             joints, score = fingers[i].joints, alone[i]
             if rank > 0:
+                there = self._beside(there, fingers[order[rank - 1]], self._poses(combined, T))
                 score, _ = self._score(fingers[i], q[:, joints], T_camera_hand, there)
             combined[joints] = q[score.argmax(), joints]
-            there = self._beside(there, fingers[i], combined, T)
         return combined, T
 
     def link_support(self, q: Array, T_camera_hand: Array) -> Array:
@@ -85,12 +87,13 @@ class FingerSearch:
             T_camera_hand: wrist pose, shape (4, 4).
         """
         support = np.zeros(len(self.hand.links))
-        palm = self._palm(q, T_camera_hand)
+        poses = self._poses(q, T_camera_hand)
+        palm = self._palm(poses)
         for finger, links in zip(self.packed.fingers, self.packed.finger_links, strict=True):
             there = palm
             for other in self.packed.fingers:
                 if other is not finger:
-                    there = self._beside(there, other, q, T_camera_hand)
+                    there = self._beside(there, other, poses)
             for link in links:
                 support[link.links] = self._support(link, q, T_camera_hand, there)
         return support
@@ -169,24 +172,26 @@ class FingerSearch:
             score_configurations,
             count,
             [self.view, rule, part.pose(q, T_camera_hand), len(part.links), part.points]
-            + [part.normals, part.link, samples, others, config.render_step, score, seen],
+            + [part.normals, part.link, samples, config.early_points * len(part.links)]
+            + [config.hopeless, others, config.render_step, score, seen],
             device,
             work_per_item=samples,
         )
         return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)
 
-    def _palm(self, q: Array, T_camera_hand: Array) -> Any:
-        """Depth [m] of the palm at a wrist pose (4, 4), on the device."""
-        return self._render(self.packed.is_palm, q, T_camera_hand, None)
+    def _poses(self, q: Array, T_camera_hand: Array) -> NDArray[np.float32]:
+        """Link poses (L, 4, 4) at joint vector (n,)."""
+        return np.asarray(self.packed.whole.pose(q[None], T_camera_hand[None]).numpy())
 
-    def _beside(self, others: Any, finger: PackedPart, q: Array, T_camera_hand: Array) -> Any:
-        """Depth [m] of a finger at joint vector (n,), and of what else is there."""
-        shown = np.isin(np.arange(len(self.hand.links)), finger.links)
-        return self._render(shown, q, T_camera_hand, others)
+    def _palm(self, T_camera_link: NDArray[np.float32]) -> Any:
+        """Depth [m] of the palm, on the device."""
+        return self.packed.render(self.camera, T_camera_link, self.packed.is_palm)
 
-    def _render(self, shown: NDArray[np.bool_], q: Array, T: Array, others: Any) -> Any:
-        poses = self.packed.whole.pose(q[None], T[None]).numpy()
-        return self.packed.render(self.camera, poses, shown, others)
+    def _beside(self, others: Any, finger: PackedPart, T_camera_link: NDArray[np.float32]) -> Any:
+        """Depth [m] of a finger and of what else is there, on the device."""
+        shown = np.zeros(len(T_camera_link), dtype=bool)
+        shown[finger.links] = True
+        return self.packed.render(self.camera, T_camera_link, shown, others)
 
 
 @cache
