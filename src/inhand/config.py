@@ -111,6 +111,8 @@ class HandStateConfig(Section):
     joint Gauss-Newton over wrist and fingers."""
     samples: int = 2000
     """Configurations tried per finger."""
+    shortlist: int = 512
+    """The best of these that are tried once more beside the other fingers."""
     alternatives: int = 6
     """Distinct configurations per finger that enter the joint refinement."""
     distinct_angle: NonNegative = 0.1

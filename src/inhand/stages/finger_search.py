@@ -43,18 +43,22 @@ class FingerSearch:
         """The best distinct configurations of every finger, best first, (k, finger's joints) each.
 
         All fingers are searched alone first; then in the order of their scores, each beside those
-        before it.
+        before it, among its better configurations.
         """
         fingers, q = self.packed.fingers, self.hand.rest.copy()
         there = self._palm(self._poses(q, T_camera_hand))
-        alone = [self._search(finger, T_camera_hand, there) for finger in fingers]
-        found = [tried for tried, _ in alone]
-        order = np.argsort([-score.max() for _, score in alone])
+        found = [self._range(finger) for finger in fingers]
+        scores = [
+            self._coarse_score(finger, tried, T_camera_hand, there)
+            for finger, tried in zip(fingers, found, strict=True)
+        ]
+        order = np.argsort([-score.max() for score in scores])
         for rank, i in enumerate(order):
-            tried, score = alone[i]
+            tried, score = found[i], scores[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
-                tried, score = self._search(fingers[i], T_camera_hand, there)
+                tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
+                score = self._coarse_score(fingers[i], tried, T_camera_hand, there)
             found[i] = self._look_around(fingers[i], tried, score, T_camera_hand, there, rng)
             q[fingers[i].joints] = found[i][0]
         return found
@@ -108,20 +112,16 @@ class FingerSearch:
         score, seen = self._score(part, q[None, part.joints], T_camera_hand[None], others)
         return float(score[0]) / max(float(seen[0]), self.config.min_seen)
 
-    def _search(self, finger: PackedPart, T_camera_hand: Array, others: Any) -> tuple[Array, Array]:
-        """Configurations (c, k) all over a finger's range, and their scores (c,)."""
-        config, joints = self.config, finger.joints
-        lower, upper = self.hand.lower[joints], self.hand.upper[joints]
-        tried = lower + _even_points(len(joints), config.samples) * (upper - lower)
-        score, _ = self._score(
-            finger,
-            tried,
-            T_camera_hand[None],
-            others,
-            config.coarse_tolerance,
-            config.coarse_points,
-        )
-        return tried, score
+    def _range(self, finger: PackedPart) -> Array:
+        """Configurations (c, k) all over a finger's range."""
+        lower, upper = self.hand.lower[finger.joints], self.hand.upper[finger.joints]
+        return lower + _even_points(len(lower), self.config.samples) * (upper - lower)
+
+    def _coarse_score(
+        self, finger: PackedPart, tried: Array, T_camera_hand: Array, others: Any
+    ) -> Array:
+        rule = (self.config.coarse_tolerance, self.config.coarse_points)
+        return self._score(finger, tried, T_camera_hand[None], others, *rule)[0]
 
     def _look_around(
         self,
