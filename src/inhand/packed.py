@@ -39,8 +39,7 @@ class PackedHand:
         whole: all links, `PackedPart`.
         fingers: the fingers, in the order of `hand.fingers`, `PackedPart`.
         finger_links: their links one by one, `PackedPart`.
-        low, high: opposite corners of the links' bounding boxes, link frames [m], `wp.vec3`.
-        corners: all corners of these, numpy (L, 8, 3).
+        corners: corners of the links' bounding boxes, link frames [m], numpy (L, 8, 3).
     """
 
     def __init__(self, hand: Hand, device: str) -> None:
@@ -68,10 +67,6 @@ class PackedHand:
         self.corners = np.stack(
             [boxes[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1
         )
-        self.low, self.high = (
-            wp.array(corner, dtype=wp.vec3, device=device) for corner in boxes.swapaxes(0, 1)
-        )
-
         self.whole = PackedPart(hand, range(len(hand.links)), device)
         self.fingers = [PackedPart(hand, finger.links, device) for finger in hand.fingers]
         self.finger_links = [
@@ -112,8 +107,7 @@ class PackedHand:
         launch(
             trace_bodies,
             (around[2] - around[0]) * (around[3] - around[1]),
-            [pinhole(camera), self.fields, self.low, self.high]
-            + [device_poses(T_camera_link, self.device)]
+            [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
             + [wp.array(windows, dtype=wp.vec4i, device=self.device), wp.vec4i(*around), depth],
             self.device,
             work_per_item=30,

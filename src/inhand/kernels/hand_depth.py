@@ -34,8 +34,6 @@ def in_box(low: wp.vec3, high: wp.vec3, origin: wp.vec3, direction: wp.vec3):
 def trace_bodies(
     camera: Pinhole,
     fields: Fields,
-    low: wp.array(dtype=wp.vec3),
-    high: wp.array(dtype=wp.vec3),
     T_camera_body: wp.array(dtype=wp.mat44),
     windows: wp.array(dtype=wp.vec4i),
     around: wp.vec4i,
@@ -48,7 +46,6 @@ def trace_bodies(
     or a little less, as the distance is good to half a voxel.
 
     Args (beyond the obvious):
-        low, high: corners of every body's bounding box, body frame [m].
         windows: per body, the pixels (u0, v0, u1, v1) that it can show in, the ends not included.
         around: a window around these.
         depth: in and out, of the whole image: what else is there [m], or 0.
@@ -72,7 +69,7 @@ def trace_bodies(
         # The ray has unit z, so that its parameter is the depth.
         direction = wp.transform_vector(inverse, ray)
         origin = -wp.transform_vector(inverse, wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
-        enter, leave = in_box(low[body], high[body], origin, direction)
+        enter, leave = in_box(fields.low[body], fields.high[body], origin, direction)
         z = wp.max(enter, 0.0)
         end = wp.min(leave, nearest)
         step = int(0)
