@@ -84,6 +84,31 @@ def fit_of(
 # Derivatives
 
 
+def system(
+    fit: ArticulatedFit,
+    q: np.ndarray,
+    T_camera_hand: np.ndarray,
+    width: float = 0.01,
+    stride: int = 1,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal equations (s, 6 + n, 6 + n) and (s, 6 + n), and the twists of the joints (s, j, 6)."""
+    run = fit.begin(q, T_camera_hand, np.array([width]), stride)
+    run.assemble()
+    return run.H.numpy(), run.g.numpy(), run.twists.numpy()
+
+
+def link_jacobians(hand: PackedHand, twists: np.ndarray) -> np.ndarray:
+    """Twist of every link per parameter, (s, L, 6, 6 + n), from those of the joints (s, j, 6)."""
+    chain = hand.hand.chain
+    J = np.zeros((len(twists), len(chain.link_joint), 6, 6 + len(hand.hand.joint_names)))
+    J[..., :6] = np.eye(6)
+    for i, j in enumerate(chain.link_joint):
+        while j >= 0:
+            J[:, i, :, 6 + chain.source[j]] += twists[:, j]
+            j = chain.parent[j]
+    return J
+
+
 def stepped(
     q: np.ndarray, T_camera_hand: np.ndarray, parameter: int, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +129,7 @@ def test_jacobians_are_the_derivatives_of_the_link_poses(seed: int) -> None:
     q = rng.uniform(-1, 1, (3, 2))
     T = exp(rng.normal(size=(3, 6)))
     fit = fit_of(seen(hand, GRIPPER_Q, wrist()), hand)
-    J = fit._link_jacobians(q, T)
+    J = link_jacobians(hand, system(fit, q, T)[2])
     h = 1e-6
     for parameter in range(8):
         ends = [[stepped(q[s], T[s], parameter, sign * h) for s in range(3)] for sign in (1, -1)]
@@ -128,9 +153,14 @@ def test_joints_that_are_not_free_do_not_move_anything() -> None:
     hand = gripper()
     observation = seen(hand, GRIPPER_Q, wrist())
     fit = fit_of(observation, hand, free=np.array([False, True]))
-    J = fit._link_jacobians(GRIPPER_Q[None], wrist()[None])
+    H, g, twists = system(fit, GRIPPER_Q[None] + 0.002, wrist()[None])
+    J = link_jacobians(hand, twists)
     assert (J[..., 6] == 0).all()
     assert (J[..., 7] != 0).any()
+    assert (H[:, 6] == 0).all()
+    assert (H[:, :, 6] == 0).all()
+    assert (g[:, 6] == 0).all()
+    assert (g[:, 7] != 0).all()
 
 
 def tukey(r: np.ndarray, width: float) -> np.ndarray:
@@ -146,11 +176,7 @@ def check_system(
     width: float,
 ) -> None:
     """Compare the normal equations with those of numeric derivatives of the residuals (k,)."""
-    terms = wp.zeros(16 * len(fit.hand.hand.links) * 28, dtype=float, device="cpu")
-    A, b = fit._link_systems(q[None], T[None], width, terms)
-    J = fit._link_jacobians(q[None], T[None])
-    H = np.einsum("slip,slij,sljq->pq", J, A, J)
-    g = np.einsum("slip,sli->p", J, b)
+    (H,), (g,), _ = system(fit, q[None], T[None], width)
     h = 1e-7
     D = np.stack(
         [
@@ -242,6 +268,21 @@ def test_surface_samples_are_pulled_along_the_derivative_of_their_plane(seed: in
         return np.asarray((n * (reading - surface(q, T, "points"))).sum(axis=1))
 
     check_system(fit, residuals, weights, q, T, width)
+
+
+@pytest.mark.parametrize("stride", [2, 3])
+def test_every_so_many_th_point_can_take_part(stride: int) -> None:
+    hand = gripper()
+    blind = replace(
+        seen(hand, GRIPPER_Q, wrist()),
+        depth_on_device=wp.zeros(CAMERA.width * CAMERA.height, dtype=float, device="cpu"),
+    )
+    fewer = replace(blind, points=blind.points[::stride], normals=blind.normals[::stride])
+    q, T = GRIPPER_Q[None] + 0.002, wrist()[None]
+    H, g, _ = system(fit_of(blind, hand), q, T, stride=stride)
+    H_fewer, g_fewer, _ = system(fit_of(fewer, hand), q, T)
+    np.testing.assert_allclose(H, H_fewer, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(g, g_fewer, rtol=1e-4, atol=1e-4)
 
 
 # Refinement

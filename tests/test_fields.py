@@ -80,3 +80,13 @@ def test_far_outside_the_grid_the_distance_is_never_too_small(bodies: list[Dista
     assert (found < true + 0.03).all()
     along_axis = values(bodies, np.array([0]), np.array([[0.0, 0.9, 0.0]]))[0, 0]
     assert along_axis == pytest.approx(0.88, abs=1e-4)
+
+
+@pytest.mark.parametrize("body", range(3))
+def test_the_box_around_a_surface_is_tight(bodies: list[DistanceField], body: int) -> None:
+    extent = [np.full(3, RADIUS), HALF, 2 * HALF][body]
+    packed = pack_fields(bodies, "cpu")
+    low, high = packed.low.numpy()[body], packed.high.numpy()[body]
+    assert (low <= -extent + 1e-6).all()
+    assert (high >= extent - 1e-6).all()
+    assert np.abs([low + extent, high - extent]).max() < 3 * VOXELS[body]

@@ -29,8 +29,12 @@ def scores(
     points: np.ndarray,
     normals: np.ndarray,
     fixed: np.ndarray | float = 0.0,
+    early: tuple[int, float] = (0, 0.0),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Score and open share, (c,) each, of one rigid set of surface samples at poses (c, 4, 4)."""
+    """Score and open share, (c,) each, of one rigid set of surface samples at poses (c, 4, 4).
+
+    A pose that scores below `early[1]` after `early[0]` samples is given up.
+    """
     n, c, width, height = len(points), len(poses), seen_by.camera.width, seen_by.camera.height
     other = np.broadcast_to(fixed, (height, width)).reshape(-1)
     score, seen = (wp.empty(c, dtype=float, device="cpu") for _ in range(2))
@@ -39,7 +43,7 @@ def scores(
         c,
         [seen_by, rule, device_poses(poses, "cpu"), 1]
         + [wp.array(points, dtype=wp.vec3), wp.array(normals, dtype=wp.vec3)]
-        + [wp.zeros(n, dtype=int), wp.array(np.arange(n), dtype=int)]
+        + [wp.zeros(n, dtype=int), n, *early]
         + [wp.array(other, dtype=float), 1, score, seen],
         "cpu",
         work_per_item=n,
@@ -119,6 +123,23 @@ def test_the_score_is_a_mean_over_the_projected_area() -> None:
     assert seen[0] == pytest.approx(2 / 3, abs=1e-3)
 
 
+@pytest.mark.parametrize("hopeless", [-0.5, 0.5])
+def test_hopeless_poses_are_given_up(hopeless: float) -> None:
+    """Two of four points are looked through and two agree, in this order."""
+    points = np.array([[-0.05, 0, 0], [-0.02, 0, 0], [0.02, 0, 0], [0.05, 0, 0]])
+    depth = np.full((31, 41), WALL)
+    depth[:, :20] = 0.7
+    poses = np.eye(4)[None].repeat(2, axis=0)
+    poses[:, 2, 3] = WALL
+    poses[1, 0, 3] = 0.06  # two that agree, and two outside the image
+    image, normals = view(SMALL, depth), np.tile(TOWARDS, (4, 1))
+    whole, _ = scores(image, visibility(), poses, points, normals)
+    found, _ = scores(image, visibility(), poses, points, normals, early=(2, hopeless))
+    assert whole[0] == pytest.approx((1 - VIOLATION) / 2, abs=0.02)
+    assert found[0] == pytest.approx(-VIOLATION, abs=0.02)
+    assert found[1] == whole[1]
+
+
 # A whole finger
 
 
@@ -174,16 +195,17 @@ def test_scores_of_fingers_are_those_of_brute_force() -> None:
     palm_only = np.isin(np.arange(len(hand.hand.links)), hand.hand.palm_links)
     fixed = hand.render(camera, poses[0], palm_only)
     for k, finger in enumerate(hand.hand.fingers):
-        samples = np.concatenate([np.arange(*hand.point_start[[i, i + 1]]) for i in finger.links])
+        part = hand.fingers[k]
+        samples = sum(len(hand.hand.links[i].surface.points) for i in finger.links)
         score, seen = (wp.empty(len(q), dtype=float, device="cpu") for _ in range(2))
         launch(
             score_configurations,
             len(q),
-            [depth_view(scene.observation), rule, device_poses(poses, "cpu"), len(hand.hand.links)]
-            + [hand.points, hand.normals, hand.link, wp.array(samples, dtype=int), fixed, 1]
-            + [score, seen],
+            [depth_view(scene.observation), rule, part.pose(q[:, part.joints], wrists)]
+            + [len(part.links), part.points, part.normals, part.link, samples, 0, 0.0]
+            + [fixed, 1, score, seen],
             "cpu",
-            work_per_item=len(samples),
+            work_per_item=samples,
         )
         image = fixed.numpy().reshape(camera.height, camera.width)
         expected = np.array([brute_force(scene, k, T, image) for T in poses])

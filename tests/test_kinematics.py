@@ -3,6 +3,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+import warp as wp
 import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,7 +11,11 @@ from scipy.spatial.transform import Rotation
 from tiny_urdf import joint, link, mimic, write
 
 from inhand.errors import InputError
+from inhand.geometry.se3 import exp
+from inhand.kernels.kinematics import pose_links
+from inhand.kernels.launch import launch
 from inhand.kinematics import KinematicArrays, build_chain, independent_joints
+from inhand.packed import pack_chain
 from inhand.reach import reach_sphere
 from inhand.urdf import read_urdf
 
@@ -103,6 +108,36 @@ def test_equals_yourdfpy_on_random_trees(elements: list[str], seed: int) -> None
         q = np.random.default_rng(seed).uniform(-3, 3, (3, len(joints)))
         expected = reference(path, joints, links, q)
     np.testing.assert_allclose(chain.link_poses(q), expected, rtol=0, atol=1e-9)
+
+
+def posed(
+    chain: KinematicArrays, q: np.ndarray, T_camera_hand: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of the joints' frames (c, j, 4, 4) and of the links (c, L, 4, 4), by the kernel."""
+    joints = wp.empty((len(q), len(chain.parent)), dtype=wp.mat44d, device="cpu")
+    links = wp.empty(len(q) * len(chain.link_joint), dtype=wp.mat44, device="cpu")
+    wrists = wp.array(T_camera_hand, dtype=wp.mat44d, device="cpu")
+    positions = wp.array(q, dtype=wp.float64, device="cpu")
+    packed = pack_chain(chain, "cpu")
+    launch(pose_links, len(q), [packed, positions, wrists, joints, links], "cpu")
+    return joints.numpy(), links.numpy().reshape(len(q), -1, 4, 4)
+
+
+@given(trees(), st.integers(0, 1000))
+@settings(max_examples=20, deadline=None)
+def test_the_kernel_poses_joints_and_links(elements: list[str], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    with TemporaryDirectory() as folder:
+        path = write(Path(folder), *elements)
+        chain, names, independent = load(path)
+        q = rng.uniform(-3, 3, (3, len(independent)))
+        expected = reference(path, independent, names, q)
+    wrists = exp(rng.normal(size=(3, 6)))
+    joints, links = posed(chain, q, wrists)
+    np.testing.assert_allclose(links, wrists[:, None] @ expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(joints, wrists[:, None] @ chain.joint_poses(q), rtol=0, atol=1e-12)
+    one_wrist = posed(chain, q, wrists[:1])[1]
+    np.testing.assert_allclose(one_wrist, wrists[0] @ expected, rtol=0, atol=1e-5)
 
 
 @given(trees(), st.integers(0, 1000))

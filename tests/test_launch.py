@@ -12,7 +12,7 @@ from probe_kernels import write_index
 import inhand.kernels
 from inhand.errors import InputError
 from inhand.kernels import launch as seam
-from inhand.kernels.launch import cpu_count, launch, load_all_kernels, resolve_device
+from inhand.kernels.launch import cpu_count, launch, load_all_kernels, prepare, resolve_device
 
 LONG = 10**6
 """Operations of a work item that are worth slices."""
@@ -38,9 +38,9 @@ def launches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     sizes: list[int] = []
     warp_launch = wp.launch
 
-    def record(kernel: Any, dim: int, **arguments: Any) -> None:
+    def record(kernel: Any, dim: int, **arguments: Any) -> Any:
         sizes.append(dim)
-        warp_launch(kernel, dim=dim, **arguments)
+        return warp_launch(kernel, dim=dim, **arguments)
 
     monkeypatch.setattr(wp, "launch", record)
     monkeypatch.setattr(seam, "cpu_count", lambda: 3)
@@ -58,6 +58,17 @@ def test_long_launches_are_cut_into_even_slices(launches: list[int], dim: int) -
 def test_short_launches_are_not_cut(launches: list[int]) -> None:
     indices(100, 100, 1)
     assert launches == [100]
+
+
+@pytest.mark.parametrize("work_per_item", [1, LONG])
+def test_a_prepared_launch_can_be_repeated(work_per_item: int) -> None:
+    out = wp.zeros(100, dtype=int, device="cpu")
+    run = prepare(write_index, 100, [out], "cpu", work_per_item=work_per_item)
+    np.testing.assert_array_equal(out.numpy(), 0)
+    for _ in range(2):
+        out.zero_()
+        run()
+        np.testing.assert_array_equal(out.numpy(), np.arange(100) + 1)
 
 
 def test_nothing_to_do_is_no_launch(launches: list[int]) -> None:

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from held_object import HeldObject, distance_to_hand, held_object
+from reference_depth import rays
 
 from inhand.config import SegmentationConfig
 from inhand.errors import NoAnswer
@@ -131,15 +132,14 @@ def test_a_small_segment_takes_every_pixel() -> None:
 def test_without_an_object_there_is_no_answer(config: SegmentationConfig) -> None:
     scene = held_object("cuboid")
     hand_only = distance_to_hand(scene.observation.points, scene.hand, scene.hand_state) < 0.001
-    dense = scene.observation.every_pixel
-    dense_only = distance_to_hand(dense.points, scene.hand, scene.hand_state) < 0.001
+    camera, smooth = scene.observation.camera, scene.observation.smooth
+    surface = (rays(camera) * smooth[..., None]).reshape(-1, 3)
+    off_hand = distance_to_hand(surface, scene.hand, scene.hand_state).reshape(smooth.shape) > 0.001
     observation = replace(
         scene.observation,
         points=scene.observation.points[hand_only],
         normals=scene.observation.normals[hand_only],
-        every_pixel=replace(
-            dense, points=dense.points[dense_only], normals=dense.normals[dense_only]
-        ),
+        smooth=np.where(off_hand, np.float32(0), smooth),
     )
     with pytest.raises(NoAnswer, match="do not belong to it: the object is hidden"):
         segmented(replace(scene, observation=observation), config)

@@ -119,9 +119,11 @@ class HandStateConfig(Section):
     joint Gauss-Newton over wrist and fingers."""
     samples: int = 2000
     """Configurations tried per finger."""
-    alternatives: int = 4
+    shortlist: int = 512
+    """The best of these that are tried once more beside the other fingers."""
+    alternatives: int = 6
     """Distinct configurations per finger that enter the joint refinement."""
-    distinct_angle: NonNegative = 0.15
+    distinct_angle: NonNegative = 0.1
     """Configurations that differ by less than this in every joint are one [rad]."""
     slide_scale: float = 0.05
     """Metres of a prismatic joint that count as one radian in angles and spreads [m/rad]."""
@@ -129,6 +131,10 @@ class HandStateConfig(Section):
     """Surface samples of a link during the search."""
     fine_points: int = 200
     """Surface samples of a link around an alternative."""
+    early_points: int = 16
+    """After so many samples of a link a hopeless configuration is given up."""
+    hopeless: Real = -0.5
+    """A configuration that scores less is hopeless."""
     coarse_tolerance: float = 0.008
     """Depth agreement during the search [m]."""
     fine_tolerance: float = 0.004
@@ -139,16 +145,22 @@ class HandStateConfig(Section):
     """Penalty of a surface point in the middle of an area without readings."""
     hidden: NonNegative = 0.05
     """Penalty of a surface point behind something else."""
-    local_samples: int = 64
+    local_samples: int = 32
     """Configurations tried around every alternative before the joint refinement."""
     local_spread: NonNegative = 0.07
     """Standard deviation of these around the alternative [rad]."""
     first_width: float = 0.012
     """Width of the redescending weight in the first iteration of the joint refinement [m]."""
+    middle_width: float = 0.006
+    """Width of the redescending weight in the last iteration of the starts [m]."""
     last_width: float = 0.004
     """Width of the redescending weight in the last iteration [m]."""
-    iterations: int = 12
-    """Gauss-Newton iterations of the joint refinement."""
+    iterations: int = 6
+    """Gauss-Newton iterations of every start."""
+    last_iterations: int = 8
+    """Gauss-Newton iterations of the best of the starts."""
+    start_stride: int = 2
+    """Every so-many-th point takes part in the iterations of the starts."""
     point_information: float = 2.0e4
     """Information of one surface point in the refinement [1/m^2]: about 1/(1.5 mm)^2, over the
     number of neighbouring points whose errors go together."""

@@ -60,26 +60,31 @@ class KinematicArrays:
         frames = np.concatenate([joints, root], axis=-3)  # index -1 is the root
         return np.asarray(frames[..., self.link_joint, :, :] @ self.T_joint_link)
 
-    def path(self, link: int) -> tuple["KinematicArrays", NDArray[np.intp]]:
-        """The chain of joints that carries `link` alone, and the elements of q that move it."""
-        joints: list[int] = []
-        joint = int(self.link_joint[link])
-        while joint >= 0:
-            joints.insert(0, joint)
-            joint = int(self.parent[joint])
+    def part(self, links: Sequence[int]) -> tuple["KinematicArrays", NDArray[np.intp]]:
+        """The joints that carry some links, with these alone, and the elements of q they follow."""
+        joints = sorted({joint for link in links for joint in self._path(link)})
+        place = {joint: i for i, joint in enumerate([-1, *joints], start=-1)}
         sources, source = np.unique(self.source[joints], return_inverse=True)
-        path = KinematicArrays(
-            parent=np.arange(-1, len(joints) - 1, dtype=np.int32),
+        part = KinematicArrays(
+            parent=np.array([place[int(self.parent[j])] for j in joints], dtype=np.int32),
             T_parent_joint=self.T_parent_joint[joints],
             axis=self.axis[joints],
             kind=self.kind[joints],
             source=source.astype(np.int32),
             multiplier=self.multiplier[joints],
             offset=self.offset[joints],
-            link_joint=np.array([len(joints) - 1], dtype=np.int32),
-            T_joint_link=self.T_joint_link[[link]],
+            link_joint=np.array([place[int(self.link_joint[i])] for i in links], dtype=np.int32),
+            T_joint_link=self.T_joint_link[list(links)],
         )
-        return path, sources.astype(np.intp)
+        return part, sources.astype(np.intp)
+
+    def _path(self, link: int) -> list[int]:
+        """The joints that carry a link, from the link to the root."""
+        joints, joint = [], int(self.link_joint[link])
+        while joint >= 0:
+            joints.append(joint)
+            joint = int(self.parent[joint])
+        return joints
 
     def _motions(self, positions: Array) -> Array:
         """Transforms of the joints' own motions: positions (..., j) -> (..., j, 4, 4)."""

@@ -1,5 +1,7 @@
 """Hand and object models laid out for kernels on one device."""
 
+from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -8,9 +10,16 @@ from numpy.typing import NDArray
 
 from inhand.camera import Camera
 from inhand.hand import Hand
-from inhand.kernels.depth import DepthRenderer, bounding_sphere
+from inhand.kernels.depth import DepthRenderer, bounding_sphere, pinhole
 from inhand.kernels.fields import pack_fields
+from inhand.kernels.hand_depth import trace_bodies
+from inhand.kernels.kinematics import Chain, pose_links
+from inhand.kernels.launch import launch
+from inhand.kinematics import KinematicArrays
 from inhand.object_model import ObjectModel
+
+NEAREST = 1e-3
+"""A body that comes nearer to the camera's plane than this may show anywhere [m]."""
 
 
 class PackedHand:
@@ -24,8 +33,13 @@ class PackedHand:
         link: index of the link of every sample, int.
         point_start: first sample of every link, numpy (L + 1,).
         spheres: bounding sphere of every link, link frame (centre, radius) [m], `wp.vec4`.
+        chain: the kinematics, `kernels.kinematics.Chain`.
+        lower, upper: limits of the independent joints [rad, m], float64 (n).
         is_palm: whether each link is rigid with the root, numpy (L,).
-        renderer: ray caster of the links.
+        whole: all links, `PackedPart`.
+        fingers: the fingers, in the order of `hand.fingers`, `PackedPart`.
+        finger_links: their links one by one, `PackedPart`.
+        corners: corners of the links' bounding boxes, link frames [m], numpy (L, 8, 3).
     """
 
     def __init__(self, hand: Hand, device: str) -> None:
@@ -44,8 +58,30 @@ class PackedHand:
         self.spheres = wp.array(
             [bounding_sphere(link.mesh) for link in hand.links], dtype=wp.vec4, device=device
         )
+        self.chain = pack_chain(hand.chain, device)
+        self.lower, self.upper = (
+            wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
+        )
         self.is_palm = np.isin(np.arange(len(hand.links)), hand.palm_links)
-        self.renderer = DepthRenderer([link.mesh for link in hand.links], device)
+        boxes = np.stack([link.mesh.bounds for link in hand.links])
+        self.corners = np.stack(
+            [boxes[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1
+        )
+        self.whole = PackedPart(hand, range(len(hand.links)), device)
+        self.fingers = [PackedPart(hand, finger.links, device) for finger in hand.fingers]
+        self.finger_links = [
+            [PackedPart(hand, [link], device) for link in finger.links] for finger in hand.fingers
+        ]
+
+    @cached_property
+    def palm(self) -> "PackedPart":
+        """The links that are rigid with the root; there must be some."""
+        return PackedPart(self.hand, self.hand.palm_links, self.device)
+
+    @cached_property
+    def renderer(self) -> DepthRenderer:
+        """Ray caster of the links' meshes: exact, and slower than `render`."""
+        return DepthRenderer([link.mesh for link in self.hand.links], self.device)
 
     def link_poses(
         self, q: NDArray[np.float64], T_camera_hand: NDArray[np.float64]
@@ -54,13 +90,81 @@ class PackedHand:
         return np.asarray(T_camera_hand[:, None] @ self.hand.forward_kinematics(q))
 
     def render(
-        self, camera: Camera, T_camera_link: NDArray[np.float64], shown: NDArray[np.bool_]
+        self,
+        camera: Camera,
+        T_camera_link: NDArray[np.floating[Any]],
+        shown: NDArray[np.bool_],
+        others: Any = None,
     ) -> Any:
-        """Depth image [m] of the links that are `shown` (L,), flat, on the device."""
-        poses = T_camera_link.copy()
-        # No ray meets a link that is put behind the camera.
-        poses[~shown, :3, 3] = [0.0, 0.0, -10.0]
-        return self.renderer.render_on_device(camera, poses)[0]
+        """Depth image [m] of the links that are `shown` (L,), flat, on the device.
+
+        `others` is an image of what else is there.
+        """
+        if others is None:
+            depth = wp.zeros(camera.width * camera.height, dtype=float, device=self.device)
+        else:
+            depth = wp.clone(others)
+        windows = _windows(camera, T_camera_link, self.corners)
+        windows[~shown] = 0
+        if not shown.any():
+            return depth
+        around = [*windows[shown, :2].min(axis=0), *windows[shown, 2:].max(axis=0)]
+        launch(
+            trace_bodies,
+            (around[2] - around[0]) * (around[3] - around[1]),
+            [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
+            + [wp.array(windows, dtype=wp.vec4i, device=self.device), wp.vec4i(*around), depth],
+            self.device,
+            work_per_item=30,
+        )
+        return depth
+
+
+class PackedPart:
+    """Some links of a hand with the joints that move them, on a device.
+
+    Attributes:
+        links: their indices, numpy (l,).
+        joints: indices of the k independent joints that move them, numpy (k,).
+        chain: the kinematics of these alone, `kernels.kinematics.Chain`.
+        points, normals: surface samples, `wp.vec3`, the first of every link first.
+        link: which of the links each sample is on, int.
+        counts: number of samples of every link, numpy (l,).
+    """
+
+    def __init__(self, hand: Hand, links: Sequence[int], device: str) -> None:
+        self.device, self.links = device, np.array(links)
+        chain, self.joints = hand.chain.part(links)
+        self.chain, self._joint_count = pack_chain(chain, device), len(chain.parent)
+        surfaces = [hand.links[i].surface for i in links]
+        self.counts = np.array([len(surface.points) for surface in surfaces])
+        order = np.argsort(np.concatenate([np.arange(n) for n in self.counts]), kind="stable")
+        self.points, self.normals = (
+            wp.array(np.concatenate(vectors)[order], dtype=wp.vec3, device=device)
+            for vectors in ([x.points for x in surfaces], [x.normals for x in surfaces])
+        )
+        link = np.repeat(np.arange(len(links)), self.counts)[order]
+        self.link = wp.array(link, dtype=int, device=device)
+
+    def pose(self, q: NDArray[np.float64], T_camera_hand: NDArray[np.float64]) -> Any:
+        """Link poses, flat (c * l), on the device.
+
+        Args:
+            q: positions of the joints [rad, m], shape (c, k).
+            T_camera_hand: wrist poses, shape (c, 4, 4), or (1, 4, 4) for all.
+        """
+        joints = wp.empty((len(q), self._joint_count), dtype=wp.mat44d, device=self.device)
+        links = wp.empty(len(q) * len(self.links), dtype=wp.mat44, device=self.device)
+        wrists = wp.array(T_camera_hand, dtype=wp.mat44d, device=self.device)
+        positions = wp.array(q, dtype=wp.float64, device=self.device)
+        launch(
+            pose_links,
+            len(q),
+            [self.chain, positions, wrists, joints, links],
+            self.device,
+            work_per_item=20 * self._joint_count,
+        )
+        return links
 
 
 class PackedObject:
@@ -85,6 +189,45 @@ class PackedObject:
         self.pair_first = wp.array(model.pairs.pair_first, dtype=int, device=device)
         self.pair_second = wp.array(model.pairs.pair_second, dtype=int, device=device)
         self.renderer = DepthRenderer([model.mesh], device)
+
+
+def pack_chain(arrays: KinematicArrays, device: str) -> Any:
+    """The kinematics of a hand, or of a part of it, as a kernel argument."""
+    chain = Chain()
+    for name, dtype in (
+        ("parent", int),
+        ("T_parent_joint", wp.mat44d),
+        ("axis", wp.vec3d),
+        ("kind", int),
+        ("source", int),
+        ("multiplier", wp.float64),
+        ("offset", wp.float64),
+        ("link_joint", int),
+        ("T_joint_link", wp.mat44d),
+    ):
+        setattr(chain, name, wp.array(getattr(arrays, name), dtype=dtype, device=device))
+    return chain
+
+
+def _windows(
+    camera: Camera, T_camera_body: NDArray[np.floating[Any]], corners: NDArray[np.float64]
+) -> NDArray[np.int32]:
+    """Windows (u0, v0, u1, v1), shape (b, 4), of an image that show boxes by their corners.
+
+    Args:
+        camera: the camera.
+        T_camera_body: poses, shape (b, 4, 4).
+        corners: corners of the boxes [m], shape (b, 8, 3).
+    """
+    size = [camera.width, camera.height]
+    p = corners @ T_camera_body[:, :3, :3].swapaxes(1, 2) + T_camera_body[:, None, :3, 3]
+    z = np.maximum(p[..., 2:], NEAREST)
+    pixels = p[..., :2] / z * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    low = np.minimum(np.maximum(pixels.min(axis=1), 0), size)
+    high = np.minimum(np.maximum(pixels.max(axis=1) + 1, low), size)
+    windows = np.concatenate([low, high], axis=1).astype(np.int32)
+    windows[p[..., 2].min(axis=1) < NEAREST] = [0, 0, *size]
+    return windows
 
 
 def device_poses(T: NDArray[Any], device: str) -> Any:

@@ -73,7 +73,7 @@ def reach_sphere(
 def _travel(
     chain: KinematicArrays, link: int, centre: Array, lower: Array, upper: Array
 ) -> _Journey:
-    path, sources = chain.path(link)
+    path, sources = chain.part([link])
     lower, upper = lower[sources], upper[sources]
     count = len(sources)
     if count == 0:

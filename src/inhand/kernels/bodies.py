@@ -40,6 +40,9 @@ def nearest_body(
         if wp.dot(offset, offset) > bound * bound:
             continue
         local = wp.transform_vector(wp.transpose(T), p - wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+        outside = wp.max(fields.low[body] - local, local - fields.high[body])
+        if wp.max(outside) > wp.max(best, 0.0):
+            continue
         value = field_at(fields, body, local)
         if value[0] < best:
             best = value[0]

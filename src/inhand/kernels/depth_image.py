@@ -104,34 +104,55 @@ def fit_planes(
 
 
 @wp.kernel
+def missing_in_rows(
+    depth: wp.array(dtype=float),
+    width: int,
+    height: int,
+    radius: int,
+    count: wp.array(dtype=int),
+    first: int,
+):
+    """One work item a row: number of its pixels without a reading up to `radius` beside each."""
+    row = (first + wp.tid()) * width
+    missing = int(0)
+    for u in range(-radius, width):
+        if u + radius < width and depth[row + u + radius] <= 0.0:
+            missing += 1
+        if u > radius and depth[row + u - radius - 1] <= 0.0:
+            missing -= 1
+        if u >= 0:
+            count[row + u] = missing
+
+
+@wp.kernel
 def missing_share(
     depth: wp.array(dtype=float),
+    in_rows: wp.array(dtype=int),
     width: int,
     height: int,
     radius: int,
     share: wp.array(dtype=float),
     first: int,
 ):
-    """One work item a pixel: share of pixels without a reading in the window of `radius` [pixel].
+    """One work item a column: share of pixels without a reading in the square of `radius` [pixel].
 
     Small holes are sensor noise; a wide area without readings is most likely empty.
+
+    Args (beyond the obvious):
+        in_rows: result of `missing_in_rows`.
+        share: out, 0 at pixels with a reading.
     """
-    i = first + wp.tid()
-    u = i % width
-    v = i // width
-    share[i] = 0.0
-    if depth[i] > 0.0:
-        return
-    step = wp.max(1, radius // 3)
+    u = first + wp.tid()
+    across = wp.min(u + radius, width - 1) - wp.max(u - radius, 0) + 1
     missing = int(0)
-    total = int(0)
-    for dv in range(-(radius // step), radius // step + 1):
-        for du in range(-(radius // step), radius // step + 1):
-            x = u + du * step
-            y = v + dv * step
-            if x < 0 or y < 0 or x >= width or y >= height:
-                continue
-            total += 1
-            if depth[y * width + x] <= 0.0:
-                missing += 1
-    share[i] = float(missing) / float(total)
+    for v in range(-radius, height):
+        if v + radius < height:
+            missing += in_rows[(v + radius) * width + u]
+        if v > radius:
+            missing -= in_rows[(v - radius - 1) * width + u]
+        if v >= 0:
+            i = v * width + u
+            share[i] = 0.0
+            if depth[i] <= 0.0:
+                down = wp.min(v + radius, height - 1) - wp.max(v - radius, 0) + 1
+                share[i] = float(missing) / float(across * down)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from inhand.geometry.distance_field import DistanceField
 
@@ -21,6 +22,9 @@ class Fields:
     size: wp.array(dtype=wp.vec3i)
     origin: wp.array(dtype=wp.vec3)
     voxel: wp.array(dtype=float)
+    low: wp.array(dtype=wp.vec3)
+    """Corners of the box around the surface, body frame [m]."""
+    high: wp.array(dtype=wp.vec3)
 
 
 def pack_fields(fields: Sequence[DistanceField], device: str) -> Any:
@@ -33,7 +37,19 @@ def pack_fields(fields: Sequence[DistanceField], device: str) -> Any:
     packed.size = wp.array([f.values.shape[:3] for f in fields], dtype=wp.vec3i, device=device)
     packed.origin = wp.array([f.origin for f in fields], dtype=wp.vec3, device=device)
     packed.voxel = wp.array([f.voxel for f in fields], dtype=float, device=device)
+    boxes = [_surface_box(f) for f in fields]
+    packed.low = wp.array([low for low, _ in boxes], dtype=wp.vec3, device=device)
+    packed.high = wp.array([high for _, high in boxes], dtype=wp.vec3, device=device)
     return packed
+
+
+def _surface_box(field: DistanceField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners [m] of a box around all points of distance 0 or less."""
+    # A point is nearer than 1.3 voxels to some voxel's centre on either side of it.
+    inside = field.values[..., 0] < 1.5 * field.voxel
+    axes = [np.flatnonzero(inside.any(axis=other)) for other in ((1, 2), (0, 2), (0, 1))]
+    first, last = np.array([[cells[0], cells[-1]] for cells in axes]).T
+    return field.origin + first * field.voxel, field.origin + last * field.voxel
 
 
 @wp.func

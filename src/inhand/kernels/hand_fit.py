@@ -5,6 +5,7 @@ import warp as wp
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.depth import Pinhole
 from inhand.kernels.fields import Fields
+from inhand.kernels.kinematics import position_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -82,7 +83,9 @@ def score_configurations(
     points: wp.array(dtype=wp.vec3),
     normals: wp.array(dtype=wp.vec3),
     link: wp.array(dtype=int),
-    samples: wp.array(dtype=int),
+    n_samples: int,
+    early_samples: int,
+    hopeless: float,
     fixed_depth: wp.array(dtype=float),
     fixed_step: int,
     score: wp.array(dtype=float),
@@ -93,7 +96,9 @@ def score_configurations(
 
     Args (beyond the obvious):
         T_camera_link: link poses of all configurations, flat (c * n_links).
-        samples: indices of the surface samples that take part.
+        n_samples: the first so many surface samples take part.
+        early_samples, hopeless: a configuration that scores less after so many samples is left at
+            that; 0 leaves none.
         fixed_depth: rendered depth [m] of the parts that do not move, at every `fixed_step`-th
             pixel; what they hide is left out.
         score: out, mean judgement weighted by the projected area.
@@ -103,8 +108,9 @@ def score_configurations(
     total = float(0.0)
     open_area = float(0.0)
     area = float(1.0e-6)
-    for s in range(samples.shape[0]):
-        i = samples[s]
+    for i in range(n_samples):
+        if i > 0 and i == early_samples and total < hopeless * area:
+            break
         T = T_camera_link[c * n_links + link[i]]
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
@@ -165,43 +171,46 @@ def redescending(r: float, width: float):
 def scene_to_hand_terms(
     points: wp.array(dtype=wp.vec3),
     normals: wp.array(dtype=wp.vec3),
-    weights: wp.array(dtype=float),
     fields: Fields,
     spheres: wp.array(dtype=wp.vec4),
-    T_camera_link: wp.array(dtype=wp.mat44),
     used: wp.array(dtype=int),
-    pivot: wp.array(dtype=wp.vec3),
-    width: wp.array(dtype=float),
+    T_camera_link: wp.array(dtype=wp.mat44),
+    T_camera_hand: wp.array(dtype=wp.mat44d),
+    widths: wp.array(dtype=float),
+    iteration: wp.array(dtype=int),
     n_blocks: int,
+    stride: int,
     terms: wp.array(dtype=float),
     first: int,
 ):
     """One work item a start and block of scene points: distance to the nearest link's surface.
 
     Args (beyond the obvious):
-        weights: weight of every scene point.
         spheres: bounding sphere of every link's field, link frame (centre, radius) [m].
-        T_camera_link: link poses of all starts, flat (s * n_links).
         used: per link, 0 leaves it out.
-        pivot: per start, the point that rotations are about [m], camera frame.
-        width: per start, width of the redescending weight [m].
-        n_blocks: blocks per start; block b takes the points b, b + n_blocks, ...
-        terms: out, flat (s, block, link, TERMS), must be zero.
+        T_camera_link: link poses of all starts, flat (s * n_links).
+        T_camera_hand: wrists of all starts; rotations are about their origins.
+        widths: width of the redescending weight in every iteration [m].
+        iteration: which iteration every start is at.
+        n_blocks: blocks per start, which take turns in taking points.
+        stride: every so-many-th point takes part.
+        terms: out, flat (s, block, link, TERMS).
     """
     item = first + wp.tid()
     start = item // n_blocks
-    block = item % n_blocks
     n_links = used.shape[0]
-    c = pivot[start]
-    reach = width[start]
-    for i in range(block, points.shape[0], n_blocks):
+    for k in range(item * n_links * TERMS, (item + 1) * n_links * TERMS):
+        terms[k] = 0.0
+    c = wp.vec3(position_of(T_camera_hand[start]))
+    width = widths[iteration[start]]
+    for i in range(item % n_blocks * stride, points.shape[0], n_blocks * stride):
         p = points[i]
         distance, gradient, k = nearest_body(
-            fields, spheres, T_camera_link, start * n_links, used, 0, p, reach
+            fields, spheres, T_camera_link, start * n_links, used, 0, p, width
         )
         if k < 0:
             continue
-        w = weights[i] * redescending(distance, reach) * wp.max(0.0, wp.dot(gradient, normals[i]))
+        w = redescending(distance, width) * wp.max(0.0, wp.dot(gradient, normals[i]))
         if w <= 0.0:
             continue
         at = (item * n_links + k) * TERMS
@@ -216,9 +225,11 @@ def hand_to_scene_terms(
     link: wp.array(dtype=int),
     used: wp.array(dtype=int),
     T_camera_link: wp.array(dtype=wp.mat44),
-    pivot: wp.array(dtype=wp.vec3),
-    width: wp.array(dtype=float),
+    T_camera_hand: wp.array(dtype=wp.mat44d),
+    widths: wp.array(dtype=float),
+    iteration: wp.array(dtype=int),
     n_blocks: int,
+    stride: int,
     terms: wp.array(dtype=float),
     first: int,
 ):
@@ -230,9 +241,9 @@ def hand_to_scene_terms(
     start = item // n_blocks
     block = item % n_blocks
     n_links = used.shape[0]
-    c = pivot[start]
-    reach = width[start]
-    for i in range(block, points.shape[0], n_blocks):
+    c = wp.vec3(position_of(T_camera_hand[start]))
+    width = widths[iteration[start]]
+    for i in range(block * stride, points.shape[0], n_blocks * stride):
         k = link[i]
         if used[k] == 0:
             continue
@@ -250,9 +261,9 @@ def hand_to_scene_terms(
             continue
         # The reading on the ray through the sample.
         r = (d / p[2] - 1.0) * wp.dot(n, p)
-        if wp.abs(d - p[2]) > reach:
+        if wp.abs(d - p[2]) > width:
             continue
-        w = facing * redescending(r, reach) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
+        w = facing * redescending(r, width) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
         if w <= 0.0:
             continue
         at = (item * n_links + k) * TERMS

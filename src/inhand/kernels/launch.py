@@ -6,7 +6,7 @@ import os
 import pkgutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import warp as wp
@@ -23,7 +23,7 @@ SLICED_FROM_OPERATIONS = 60_000
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max_workers=cpu_count(), thread_name_prefix="inhand")
+    return ThreadPoolExecutor(max_workers=cpu_count() - 1, thread_name_prefix="inhand")
 
 
 @cache
@@ -49,24 +49,41 @@ def launch(
         device: Warp device name, "cpu" or "cuda:0".
         work_per_item: rough number of inner-loop operations of one item, to decide on slicing.
     """
+    prepare(kernel, dim, inputs, device, work_per_item=work_per_item)()
+
+
+def prepare(
+    kernel: Any, dim: int, inputs: Sequence[Any], device: str, *, work_per_item: int = 1
+) -> Callable[[], None]:
+    """`launch` with these arguments, to be called as often as one likes.
+
+    Packing the arguments takes longer than a short launch, so what is repeated is prepared once.
+    """
     if dim <= 0:
-        return
+        return lambda: None
     slices = 1
     if device == "cpu" and dim * work_per_item >= SLICED_FROM_OPERATIONS:
         slices = min(dim, 2 * cpu_count()) if cpu_count() > 1 else 1
-    if slices == 1:
-        wp.launch(kernel, dim=dim, inputs=[*inputs, 0], device=device)
-        return
-    # Two threads that meet an unloaded module would both compile it.
-    kernel.module.load(wp.get_device(device), block_dim=1)
-    edges = [dim * i // slices for i in range(slices + 1)]
-    jobs = [
-        _pool().submit(wp.launch, kernel, dim=b - a, inputs=[*inputs, a], device=device)
-        for a, b in itertools.pairwise(edges)
-        if b > a
+    spans = itertools.pairwise(dim * i // slices for i in range(slices + 1))
+    commands = [
+        wp.launch(kernel, dim=b - a, inputs=[*inputs, a], device=device, record_cmd=True)
+        for a, b in spans
     ]
+    # The commands hold the addresses of the arrays in `inputs`, which must live as long.
+    return partial(_run, commands, inputs)
+
+
+def _run(commands: Sequence[Any], _inputs: Sequence[Any]) -> None:
+    """Run commands that may run at the same time."""
+    jobs = [_pool().submit(command.launch) for command in commands[:-1]]
+    commands[-1].launch()
+    # Rather than sleep, this thread does what no other has begun.
+    for job, command in reversed(list(zip(jobs, commands, strict=False))):
+        if job.cancel():
+            command.launch()
     for job in jobs:
-        job.result()
+        if not job.cancelled():
+            job.result()
 
 
 def resolve_device(device: str | None) -> str:

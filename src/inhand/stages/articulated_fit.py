@@ -3,27 +3,36 @@
 Residuals are distances of scene points to the nearest link's surface and of visible surface samples
 to the plane of the reading on their ray, both with a redescending weight. The kernels sum them to
 one 6x6 system a link; the kinematics turn these into a system over wrist and joints. Directions
-that the image does not determine stay at the prior of the wrist pose.
+that the image does not determine stay at the prior of the wrist pose. All iterations run on the
+device, from launches that are prepared once.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from inhand.geometry.se3 import exp
+from inhand.kernels import gauss_newton as kernels
 from inhand.kernels.depth import pinhole
-from inhand.kernels.hand_fit import TERMS, DepthView, hand_to_scene_terms, scene_to_hand_terms
-from inhand.kernels.launch import launch
-from inhand.kinematics import PRISMATIC
-from inhand.packed import PackedHand, device_poses
+from inhand.kernels.gauss_newton import gauss_newton_step, normal_equations
+from inhand.kernels.hand_fit import (
+    TERMS,
+    DepthView,
+    hand_to_scene_terms,
+    scene_to_hand_terms,
+)
+from inhand.kernels.kinematics import Twist, pose_links
+from inhand.kernels.launch import prepare
+from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
 
 Array = NDArray[np.float64]
 BLOCKS = 16
+Launch = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -72,109 +81,113 @@ class ArticulatedFit:
         point_information: float,
         joint_damping: float,
     ) -> None:
-        self.hand, self.prior, self.free = hand, prior, free
-        self.point_information, self.joint_damping = point_information, joint_damping
         device = hand.device
+        self.hand = hand
+        self.point_information, self.joint_damping = point_information, joint_damping
+        self.prior = kernels.WristPrior()
+        self.prior.T_camera_hand = wp.mat44d(prior.T_camera_hand)
+        self.prior.rotation = prior.sd_rotation**-2.0
+        self.prior.translation = prior.sd_translation**-2.0
+        self.free = wp.array(free.astype(np.int32), dtype=int, device=device)
         self.view = depth_view(observation)
         self.points = wp.array(observation.points, dtype=wp.vec3, device=device)
         self.normals = wp.array(observation.normals, dtype=wp.vec3, device=device)
-        self.weights = wp.full(len(observation.points), 1.0, dtype=float, device=device)
         self.used = wp.array(used.astype(np.int32), dtype=int, device=device)
 
-    def refine(self, q: Array, T_camera_hand: Array, widths: Array) -> tuple[Array, Array]:
+    def refine(
+        self, q: Array, T_camera_hand: Array, widths: Array, stride: int = 1
+    ) -> tuple[Array, Array]:
         """Refined joint vectors (s, n) and wrist poses (s, 4, 4).
 
         Args:
             q: starts [rad], shape (s, n).
             T_camera_hand: starts, shape (s, 4, 4).
             widths: width of the redescending weight in every iteration [m].
+            stride: every so-many-th point takes part.
         """
-        lower, upper = self.hand.hand.lower, self.hand.hand.upper
-        terms = wp.zeros(
-            len(q) * BLOCKS * len(self.hand.hand.links) * TERMS,
-            dtype=float,
-            device=self.hand.device,
-        )
-        for width in widths:
-            A, b = self._link_systems(q, T_camera_hand, float(width), terms)
-            J = self._link_jacobians(q, T_camera_hand)
-            H = np.einsum("slip,slij,sljq->spq", J, A, J) * self.point_information
-            g = np.einsum("slip,sli->sp", J, b) * self.point_information
-            H, g = self._add_priors(H, g, T_camera_hand)
-            step = np.linalg.solve(H, g[..., None])[..., 0]
-            q = np.clip(q + np.clip(step[:, 6:], -0.3, 0.3), lower, upper)
-            motion = exp(np.concatenate([step[:, :3], np.zeros((len(q), 3))], 1))
-            moved = T_camera_hand.copy()
-            moved[:, :3, :3] = motion[:, :3, :3] @ T_camera_hand[:, :3, :3]
-            moved[:, :3, 3] += step[:, 3:6]
-            T_camera_hand = moved
-        return q, T_camera_hand
+        fit = self.begin(q, T_camera_hand, widths, stride)
+        for _ in widths:
+            fit.assemble()
+            fit.step()
+        return fit.q.numpy().copy(), fit.T_camera_hand.numpy().copy()
 
-    def _link_systems(
-        self, q: Array, T_camera_hand: Array, width: float, terms: Any
-    ) -> tuple[Array, Array]:
-        """Per start and link: 6x6 matrices and right-hand sides about the wrist's origin."""
+    def begin(
+        self, q: Array, T_camera_hand: Array, widths: Array, stride: int = 1
+    ) -> "FitInProgress":
+        """A refinement whose iterations are still to be done; arguments as `refine`."""
         hand, device, starts = self.hand, self.hand.device, len(q)
-        terms.zero_()
-        poses = device_poses(hand.link_poses(q, T_camera_hand), device)
-        pivot = wp.array(T_camera_hand[:, :3, 3], dtype=wp.vec3, device=device)
-        widths = wp.full(starts, width, dtype=float, device=device)
-        launch(
-            scene_to_hand_terms,
-            starts * BLOCKS,
-            [self.points, self.normals, self.weights, hand.fields, hand.spheres, poses, self.used]
-            + [pivot, widths, BLOCKS, terms],
-            device,
-            work_per_item=len(self.points) // BLOCKS,
-        )
-        launch(
-            hand_to_scene_terms,
-            starts * BLOCKS,
-            [self.view, hand.points, hand.normals, hand.link, self.used, poses]
-            + [pivot, widths, BLOCKS, terms],
-            device,
-            work_per_item=len(hand.points) // BLOCKS,
-        )
-        sums = terms.numpy().reshape(starts, BLOCKS, -1, TERMS).sum(axis=1, dtype=np.float64)
-        upper = np.triu_indices(6)
-        A = np.zeros((*sums.shape[:2], 6, 6))
-        A[..., upper[0], upper[1]] = sums[..., :21]
-        A[..., upper[1], upper[0]] = sums[..., :21]
-        return A, sums[..., 21:27]
+        links, parameters = len(hand.hand.links), 6 + q.shape[1]
+        empty = partial(wp.empty, device=device)
+        q_now = wp.array(q, dtype=wp.float64, device=device)
+        T_now = wp.array(T_camera_hand, dtype=wp.mat44d, device=device)
+        T_joint = empty((starts, len(hand.hand.chain.parent)), dtype=wp.mat44d)
+        T_link = empty(starts * links, dtype=wp.mat44)
+        twists = empty(T_joint.shape, dtype=Twist)
+        terms = empty(starts * BLOCKS * links * TERMS, dtype=float)
+        H = empty((starts, parameters, parameters), dtype=wp.float64)
+        g = empty((starts, parameters), dtype=wp.float64)
+        iteration = wp.zeros(starts, dtype=int, device=device)
+        all_widths = wp.array(widths, dtype=float, device=device)
+        sums = [self.used, T_link, T_now, all_widths, iteration, BLOCKS, stride, terms]
 
-    def _link_jacobians(self, q: Array, T_camera_hand: Array) -> Array:
-        """Twist of every link per parameter, (s, L, 6, 6 + n): rotation, motion at the wrist."""
-        chain = self.hand.hand.chain
-        n = q.shape[1]
-        T = T_camera_hand[:, None] @ chain.joint_poses(q)
-        axis = np.einsum("sjab,jb->sja", T[..., :3, :3], chain.axis)
-        arm = T[..., :3, 3] - T_camera_hand[:, None, :3, 3]
-        slides = (chain.kind == PRISMATIC)[:, None]
-        rotation = np.where(slides, 0.0, axis)
-        motion = np.where(slides, axis, np.cross(arm, axis))
-        screw = np.concatenate([rotation, motion], -1) * chain.multiplier[:, None]
-        J = np.zeros((len(q), len(chain.link_joint), 6, 6 + n))
-        J[..., :6, :6] = np.eye(6)
-        for link, joint in enumerate(chain.link_joint):
-            while joint >= 0:
-                source = chain.source[joint]
-                if self.free[source]:
-                    J[:, link, :, 6 + source] += screw[:, joint]
-                joint = chain.parent[joint]
-        return J
+        def launches(kernel: Any, items: int, inputs: list[Any], work: int = 1) -> Launch:
+            return prepare(kernel, items, inputs, device, work_per_item=work)
 
-    def _add_priors(self, H: Array, g: Array, T_camera_hand: Array) -> tuple[Array, Array]:
-        """Add the wrist's prior and the joints' damping."""
-        information = np.repeat([self.prior.sd_rotation, self.prior.sd_translation], 3) ** -2.0
-        away = self.prior.T_camera_hand[:3, :3] @ np.swapaxes(T_camera_hand[:, :3, :3], 1, 2)
-        towards = np.concatenate(
+        return FitInProgress(
+            q_now,
+            T_now,
+            twists,
+            H,
+            g,
             [
-                Rotation.from_matrix(away).as_rotvec(),
-                self.prior.T_camera_hand[:3, 3] - T_camera_hand[:, :3, 3],
+                launches(pose_links, starts, [hand.chain, q_now, T_now, T_joint, T_link]),
+                launches(
+                    scene_to_hand_terms,
+                    starts * BLOCKS,
+                    [self.points, self.normals, hand.fields, hand.spheres, *sums],
+                    10 * len(self.points) // BLOCKS // stride,
+                ),
+                launches(
+                    hand_to_scene_terms,
+                    starts * BLOCKS,
+                    [self.view, hand.points, hand.normals, hand.link, *sums],
+                    4 * len(hand.points) // BLOCKS // stride,
+                ),
+                launches(
+                    normal_equations,
+                    starts,
+                    [hand.chain, self.free, T_now, T_joint, terms, BLOCKS, twists, H, g],
+                ),
             ],
-            1,
+            launches(
+                gauss_newton_step,
+                starts,
+                [H, g, stride * self.point_information, self.prior, self.joint_damping]
+                + [hand.lower, hand.upper, q_now, T_now, iteration],
+            ),
         )
-        n = H.shape[1] - 6
-        H = H + np.diag(np.concatenate([information, np.full(n, self.joint_damping)]))
-        g = g + np.concatenate([information * towards, np.zeros((len(g), n))], 1)
-        return H, g
+
+
+@dataclass(frozen=True)
+class FitInProgress:
+    """What a refinement changes, on the device, and the launches of one iteration in order."""
+
+    q: Any
+    """Joint vectors [rad, m], (s, n)."""
+    T_camera_hand: Any
+    """Wrist poses, (s)."""
+    twists: Any
+    """Twists of the joints, see `normal_equations`, (s, j)."""
+    H: Any
+    """Matrices of the systems, (s, 6 + n, 6 + n)."""
+    g: Any
+    """Right-hand sides, (s, 6 + n)."""
+    sums: Sequence[Launch]
+    """Make the systems, without priors, where joints and wrists are."""
+    step: Launch
+    """Solve the systems with their priors and move joints and wrists."""
+
+    def assemble(self) -> None:
+        """Run `sums`."""
+        for launch in self.sums:
+            launch()

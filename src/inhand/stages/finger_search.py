@@ -1,6 +1,6 @@
 """Search of single fingers over their whole range, by what the camera should see of them."""
 
-from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from inhand.config import HandStateConfig
-from inhand.hand import Finger
 from inhand.kinematics import PRISMATIC
-from inhand.packed import PackedHand
+from inhand.packed import PackedHand, PackedPart
 from inhand.stages.hand_visibility import HandVisibility
 from inhand.stages.observation import Observation
 
@@ -41,21 +40,24 @@ class FingerSearch:
         """The best distinct configurations of every finger, best first, (k, finger's joints) each.
 
         All fingers are searched alone first; then in the order of their scores, each beside those
-        before it.
+        before it, among its better configurations.
         """
-        palm = self._render(self.hand.rest, T_camera_hand, [])
-        alone = [self._search(finger, T_camera_hand, palm, rng) for finger in self.hand.fingers]
-        found = [configurations for configurations, _ in alone]
-        order = np.argsort([-score for _, score in alone])
-        q = self.hand.rest.copy()
-        placed: list[Finger] = []
+        fingers, q = self.packed.fingers, self.hand.rest.copy()
+        there = self._palm(self._poses(q, T_camera_hand))
+        found = [self._range(finger) for finger in fingers]
+        scores = [
+            self._coarse_score(finger, tried, T_camera_hand, there)
+            for finger, tried in zip(fingers, found, strict=True)
+        ]
+        order = np.argsort([-score.max() for score in scores])
         for rank, i in enumerate(order):
-            finger = self.hand.fingers[i]
+            tried, score = found[i], scores[i]
             if rank > 0:
-                others = self._render(q, T_camera_hand, placed)
-                found[i], _ = self._search(finger, T_camera_hand, others, rng)
-            q[list(finger.joints)] = found[i][0]
-            placed.append(finger)
+                there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
+                tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
+                score = self._coarse_score(fingers[i], tried, T_camera_hand, there)
+            found[i] = self._look_around(fingers[i], tried, score, T_camera_hand, there, rng)
+            q[fingers[i].joints] = found[i][0]
         return found
 
     def best_combination(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
@@ -65,19 +67,17 @@ class FingerSearch:
             q: refined joint vectors, shape (s, n).
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
-        palm = self._render(self.hand.rest, T_camera_hand[0], [])
-        score = self.visibility.score
-        alone = [score(f.links, q, T_camera_hand, palm)[0] for f in self.hand.fingers]
-        total = np.sum(alone, axis=0)
-        T = T_camera_hand[total.argmax()]
-        combined = q[total.argmax()].copy()
-        placed: list[Finger] = []
-        for i in np.argsort([-scores.max() for scores in alone]):
-            finger = self.hand.fingers[i]
-            others = self._render(combined, T, placed)
-            best = score(finger.links, q, T_camera_hand, others)[0].argmax()
-            combined[list(finger.joints)] = q[best][list(finger.joints)]
-            placed.append(finger)
+        there, fingers = self._palm(self._poses(q[0], T_camera_hand[0])), self.packed.fingers
+        alone = [self.visibility.score(f, q[:, f.joints], T_camera_hand, there)[0] for f in fingers]
+        best = np.sum(alone, axis=0).argmax()
+        T, combined = T_camera_hand[best], q[best].copy()
+        order = np.argsort([-score.max() for score in alone])
+        for rank, i in enumerate(order):
+            joints, score = fingers[i].joints, alone[i]
+            if rank > 0:
+                there = self._beside(there, fingers[order[rank - 1]], self._poses(combined, T))
+                score, _ = self.visibility.score(fingers[i], q[:, joints], T_camera_hand, there)
+            combined[joints] = q[score.argmax(), joints]
         return combined, T
 
     def link_support(self, q: Array, T_camera_hand: Array) -> Array:
@@ -88,55 +88,81 @@ class FingerSearch:
             T_camera_hand: wrist pose, shape (4, 4).
         """
         support = np.zeros(len(self.hand.links))
-        for finger in self.hand.fingers:
-            others = [other for other in self.hand.fingers if other is not finger]
-            depth = self._render(q, T_camera_hand, others)
-            for link in finger.links:
-                support[link] = self._support((link,), q, T_camera_hand, depth)
+        poses = self._poses(q, T_camera_hand)
+        palm = self._palm(poses)
+        for finger, links in zip(self.packed.fingers, self.packed.finger_links, strict=True):
+            there = palm
+            for other in self.packed.fingers:
+                if other is not finger:
+                    there = self._beside(there, other, poses)
+            for link in links:
+                support[link.links] = self._support(link, q, T_camera_hand, there)
         return support
 
     def hand_support(self, q: Array, T_camera_hand: Array) -> float:
         """Score of the whole hand per share of it that nothing hides; arguments as above."""
-        return self._support(range(len(self.hand.links)), q, T_camera_hand, None)
+        return self._support(self.packed.whole, q, T_camera_hand, None)
 
-    def _support(self, links: Sequence[int], q: Array, T_camera_hand: Array, others: Any) -> float:
-        score, seen = self.visibility.score(links, q[None], T_camera_hand[None], others)
+    def _support(self, part: PackedPart, q: Array, T_camera_hand: Array, others: Any) -> float:
+        score, seen = self.visibility.score(part, q[None, part.joints], T_camera_hand[None], others)
         return float(score[0]) / max(float(seen[0]), self.config.min_seen)
 
-    def _search(
-        self, finger: Finger, T_camera_hand: Array, others: Any, rng: np.random.Generator
-    ) -> tuple[Array, float]:
-        """The best distinct configurations of a finger, best first, and the best score."""
-        config, joints = self.config, list(finger.joints)
-        lower, upper = self.hand.lower[joints], self.hand.upper[joints]
+    def _range(self, finger: PackedPart) -> Array:
+        """Configurations (c, k) all over a finger's range."""
+        lower, upper = self.hand.lower[finger.joints], self.hand.upper[finger.joints]
+        return lower + _even_points(len(lower), self.config.samples) * (upper - lower)
 
-        def score(tried: Array, tolerance: float, points: int) -> Array:
-            q = np.repeat(self.hand.rest[None], len(tried), 0)
-            q[:, joints] = tried
-            poses = np.repeat(T_camera_hand[None], len(q), 0)
-            return self.visibility.score(finger.links, q, poses, others, tolerance, points)[0]
+    def _coarse_score(
+        self, finger: PackedPart, tried: Array, T_camera_hand: Array, others: Any
+    ) -> Array:
+        rule = (self.config.coarse_tolerance, self.config.coarse_points)
+        return self.visibility.score(finger, tried, T_camera_hand[None], others, *rule)[0]
 
-        sampler = qmc.Sobol(len(joints), seed=rng)
-        tried = lower + sampler.random_base2(int(np.log2(config.samples))) * (upper - lower)
-        scores = score(tried, config.coarse_tolerance, config.coarse_points)
+    def _look_around(
+        self,
+        finger: PackedPart,
+        tried: Array,
+        score: Array,
+        T_camera_hand: Array,
+        others: Any,
+        rng: np.random.Generator,
+    ) -> Array:
+        """The best distinct configurations (a, k) near those of a search, best first."""
+        config, joints = self.config, finger.joints
         scale = self.scale[joints]
-        centres = _distinct(tried, scores, config.distinct_angle * scale, config.alternatives)
+        centres = _distinct(tried, score, config.distinct_angle * scale, config.alternatives)
         spread = rng.normal(
             0, config.local_spread, (len(centres), config.local_samples, len(joints))
         )
         spread[:, 0] = 0.0
-        spread *= scale
-        around = np.clip(centres[:, None] + spread, lower, upper)
-        scores = score(around.reshape(-1, len(joints)), config.fine_tolerance, config.fine_points)
-        scores = scores.reshape(len(centres), -1)
-        best = around[np.arange(len(centres)), scores.argmax(axis=1)]
-        return best[np.argsort(-scores.max(axis=1))], float(scores.max())
+        around = centres[:, None] + spread * scale
+        around = np.clip(around, self.hand.lower[joints], self.hand.upper[joints])
+        flat = around.reshape(-1, len(joints))
+        near = (config.fine_tolerance, config.fine_points)
+        score = self.visibility.score(finger, flat, T_camera_hand[None], others, *near)[0]
+        score = score.reshape(len(centres), -1)
+        best = around[np.arange(len(centres)), score.argmax(axis=1)]
+        return best[np.argsort(-score.max(axis=1))]
 
-    def _render(self, q: Array, T_camera_hand: Array, fingers: Sequence[Finger]) -> Any:
-        """Depth [m], on the device, of the palm and some fingers at joint vector (n,)."""
-        shown = {*self.hand.palm_links, *(link for finger in fingers for link in finger.links)}
-        poses = self.packed.link_poses(q[None], T_camera_hand[None])[0]
-        return self.packed.render(self.camera, poses, np.isin(np.arange(len(poses)), list(shown)))
+    def _poses(self, q: Array, T_camera_hand: Array) -> NDArray[np.float32]:
+        """Link poses (L, 4, 4) at joint vector (n,)."""
+        return np.asarray(self.packed.whole.pose(q[None], T_camera_hand[None]).numpy())
+
+    def _palm(self, T_camera_link: NDArray[np.float32]) -> Any:
+        """Depth [m] of the palm, on the device."""
+        return self.packed.render(self.camera, T_camera_link, self.packed.is_palm)
+
+    def _beside(self, others: Any, finger: PackedPart, T_camera_link: NDArray[np.float32]) -> Any:
+        """Depth [m] of a finger and of what else is there, on the device."""
+        shown = np.zeros(len(T_camera_link), dtype=bool)
+        shown[finger.links] = True
+        return self.packed.render(self.camera, T_camera_link, shown, others)
+
+
+@cache
+def _even_points(dimension: int, count: int) -> Array:
+    """Points that fill the unit cube evenly, (c, dimension); c is a power of two up to `count`."""
+    return np.asarray(qmc.Sobol(dimension, seed=0).random_base2(int(np.log2(count))))
 
 
 def _distinct(tried: Array, score: Array, apart: Array, keep: int) -> Array:

@@ -25,7 +25,8 @@ def estimate_hand_state(
 
     The paper runs a particle swarm on Alg. 1. By default every finger is searched over its whole
     range with a visibility-aware score; the best few configurations of each then start a joint
-    Gauss-Newton over wrist and all fingers.
+    Gauss-Newton over wrist and all fingers, on a part of the points. It goes on with all points
+    from the best that every finger came to.
 
     Raises:
         NoAnswer: the hand is not where it should be.
@@ -43,10 +44,11 @@ def estimate_hand_state(
         joint_damping=config.joint_damping,
     )
     starts = _starts(search.alternatives(wrist.T_camera_hand, rng), hand)
-    widths = np.geomspace(config.first_width, config.last_width, config.iterations)
-    q, T = fit.refine(starts, np.repeat(wrist.T_camera_hand[None], len(starts), 0), widths)
-    best_q, best_T = search.best_combination(q, T)
-    q, T = fit.refine(best_q[None], best_T[None], np.full(4, config.last_width))
+    wrists = np.repeat(wrist.T_camera_hand[None], len(starts), 0)
+    widths = np.geomspace(config.first_width, config.middle_width, config.iterations)
+    q, T = search.best_combination(*fit.refine(starts, wrists, widths, config.start_stride))
+    widths = np.geomspace(config.middle_width, config.last_width, config.last_iterations)
+    q, T = fit.refine(q[None], T[None], widths)
     if search.hand_support(q[0], T[0]) < config.min_hand_support:
         raise NoAnswer(
             "the image does not show the hand where the wrist pose puts it: it looks through the "
@@ -57,14 +59,9 @@ def estimate_hand_state(
 
 
 def _starts(alternatives: list[Array], hand: PackedHand) -> Array:
-    """The best of every finger, and each other alternative of one finger with the others' best."""
-    best = hand.hand.rest.copy()
+    """Joint vectors (s, n): the best of every finger, every finger's second, and so on."""
+    starts = np.repeat(hand.hand.rest[None], max(len(found) for found in alternatives), 0)
     for finger, found in zip(hand.hand.fingers, alternatives, strict=True):
-        best[list(finger.joints)] = found[0]
-    starts = [best]
-    for finger, found in zip(hand.hand.fingers, alternatives, strict=True):
-        for other in found[1:]:
-            start = best.copy()
-            start[list(finger.joints)] = other
-            starts.append(start)
-    return np.stack(starts)
+        starts[:, finger.joints] = found[0]
+        starts[: len(found), finger.joints] = found
+    return starts

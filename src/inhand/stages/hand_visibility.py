@@ -1,6 +1,5 @@
 """How well posed links of the hand agree with what the camera sees of them."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from inhand.config import HandStateConfig
 from inhand.kernels.hand_fit import Visibility, score_configurations
 from inhand.kernels.launch import launch
-from inhand.packed import PackedHand, device_poses
+from inhand.packed import PackedHand, PackedPart
 from inhand.stages.articulated_fit import depth_view
 from inhand.stages.observation import Observation
 
@@ -27,47 +26,45 @@ class HandVisibility:
     """
 
     def __init__(self, observation: Observation, hand: PackedHand, config: HandStateConfig) -> None:
-        self._hand, self._config = hand, config
+        self._config = config
         self._view = depth_view(observation)
         coarse = observation.camera.subsampled(config.render_step)
         self._nothing = wp.zeros(coarse.width * coarse.height, dtype=float, device=hand.device)
 
     def score(
         self,
-        links: Sequence[int],
+        part: PackedPart,
         q: Array,
         T_camera_hand: Array,
         others: Any = None,
         tolerance: float | None = None,
         points: int | None = None,
     ) -> tuple[Array, Array]:
-        """Visibility score of some links and the share of them that nothing hides, (c,) each.
+        """Visibility score of a part and the share of it that nothing hides, (c,) each.
 
         Args:
-            links: indices of the links.
-            q: joint vectors [rad], shape (c, n).
-            T_camera_hand: wrist poses, shape (c, 4, 4).
+            part: the links that are scored.
+            q: positions of the joints that move them [rad, m], shape (c, k).
+            T_camera_hand: wrist poses, shape (c, 4, 4), or (1, 4, 4) for all.
             others: rendered depth [m] of other parts of the hand, on the device, at every
                 `render_step`-th pixel; what they hide or explain does not count.
             tolerance: depth agreement [m]; by default the fine one.
             points: surface samples of every link that are used at most.
         """
-        hand, config, device = self._hand, self._config, self._hand.device
+        device, config, count = part.device, self._config, len(q)
         rule = Visibility()
         rule.tolerance = tolerance or config.fine_tolerance
         rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
-        ranges = [np.arange(*hand.point_start[[i, i + 1]])[:points] for i in links]
-        samples = wp.array(np.concatenate(ranges), dtype=int, device=device)
-        poses = device_poses(hand.link_poses(q, T_camera_hand), device)
-        score = wp.empty(len(q), dtype=float, device=device)
-        seen = wp.empty(len(q), dtype=float, device=device)
+        samples = int(np.minimum(part.counts, points or part.counts).sum())
+        score, seen = (wp.empty(count, dtype=float, device=device) for _ in range(2))
         launch(
             score_configurations,
-            len(q),
-            [self._view, rule, poses, len(hand.hand.links), hand.points, hand.normals, hand.link]
-            + [samples, self._nothing if others is None else others, config.render_step]
+            count,
+            [self._view, rule, part.pose(q, T_camera_hand), len(part.links), part.points]
+            + [part.normals, part.link, samples, config.early_points * len(part.links)]
+            + [config.hopeless, self._nothing if others is None else others, config.render_step]
             + [score, seen],
             device,
-            work_per_item=len(samples),
+            work_per_item=samples,
         )
         return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)

@@ -1,6 +1,7 @@
 """What the camera saw around the hand: region of interest, normals, scene cloud P_S."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from inhand.config import ObservationConfig
 from inhand.errors import NoAnswer
 from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
-from inhand.kernels.depth_image import fit_planes, missing_share
+from inhand.kernels.depth_image import fit_planes, missing_in_rows, missing_share
 from inhand.kernels.launch import launch
 
 NEAREST = 1e-3
@@ -45,14 +46,22 @@ class Observation:
     """Normals of all its pixels, flat `wp.array` of vec3, 0 where unknown."""
     missing_on_device: Any = field(repr=False)
     """Share of missing readings around every pixel without a reading, flat `wp.array`."""
+    smooth: NDArray[np.float32] = field(repr=False)
+    """Depth of the surface estimated at every pixel [m], shape (h, w), 0 without a reading."""
+    sphere: tuple[NDArray[np.float64], float]
+    """Centre [m] in the camera frame and radius [m] of the region of interest."""
     points: NDArray[np.float32]
     """Scene cloud P_S [m], camera frame, shape (n, 3)."""
     normals: NDArray[np.float32]
     """Unit normals of the scene cloud towards the camera, shape (n, 3)."""
-    every_pixel: "Cloud" = field(repr=False)
-    """All points that the scene cloud is an even subset of."""
     T_camera_hand: NDArray[np.float64]
     """The wrist pose as given, shape (4, 4)."""
+
+    @cached_property
+    def every_pixel(self) -> Cloud:
+        """All points that the scene cloud is an even subset of."""
+        normals = self.normals_on_device.numpy().reshape(*self.smooth.shape, 3)
+        return _cloud(self.smooth, normals, self.camera, self.sphere, step=1)
 
 
 def observe(
@@ -84,57 +93,71 @@ def observe(
     radius = reach[1] + config.margin + 0.5 * object_diameter
     u0, v0, u1, v1 = _window(camera, centre, radius)
     roi = camera.crop(u0, v0, u1 - u0, v1 - v0)
-    window = np.nan_to_num(depth[v0:v1, u0:u1], nan=0.0, posinf=0.0, neginf=0.0)
-    near, far = centre[2] - radius, centre[2] + radius
-    window[window < NEAREST] = 0.0
+    near, far = max(centre[2] - radius, NEAREST), centre[2] + radius
+    window = depth[v0:v1, u0:u1]
+    window = np.where((window >= NEAREST) & (window < np.inf), window, np.float32(0))
     # A reading behind the region of interest still proves free space: it is kept as an image.
-    inside = (window > max(near, 0.0)) & (window < far)
-    if inside.sum() < config.min_points:
+    inside = (window > near) & (window < far)
+    if (count := np.count_nonzero(inside)) < config.min_points:
         raise NoAnswer(
-            f"only {int(inside.sum())} depth readings lie in the region of the hand "
+            f"only {count} depth readings lie in the region of the hand "
             f"(around {centre[2]:.2f} m); check the wrist pose, the depth unit and the sensor range"
         )
-    n = roi.width * roi.height
-    flat = wp.array(np.ascontiguousarray(window).reshape(-1), dtype=float, device=device)
-    smooth = wp.empty(n, dtype=float, device=device)
-    normals = wp.empty(n, dtype=wp.vec3, device=device)
-    missing = wp.empty(n, dtype=float, device=device)
-    launch(
-        fit_planes,
-        n,
-        [pinhole(roi), flat, config.normal_window, config.normal_gate, far, smooth, normals],
-        device,
-        work_per_item=25,
-    )
-    launch(
-        missing_share,
-        n,
-        [flat, roi.width, roi.height, config.missing_window, missing],
-        device,
-        work_per_item=10,
-    )
-    every_pixel, on_grid = _clouds(
-        smooth.numpy().reshape(window.shape),
-        normals.numpy().reshape(*window.shape, 3),
-        inside,
-        roi,
-        (centre, radius),
-        config.point_spacing,
-    )
-    if on_grid.sum() < config.min_points:
+    flat = wp.array(window.reshape(-1), dtype=float, device=device)
+    smooth_on_device, normals_on_device = _surfaces(flat, roi, far, config, device)
+    smooth = smooth_on_device.numpy().reshape(window.shape)
+    normals = normals_on_device.numpy().reshape(*window.shape, 3)
+    step = max(1, round(config.point_spacing * roi.fx / float(window.mean(where=inside))))
+    cloud = _cloud(smooth, normals, roi, (centre, radius), step)
+    if len(cloud.points) < config.min_points:
         raise NoAnswer("almost no depth readings lie in the region of the hand")
     return Observation(
         camera=roi,
         offset=(u0, v0),
         depth=window,
         depth_on_device=flat,
-        normals_on_device=normals,
-        missing_on_device=missing,
-        points=every_pixel.points[on_grid],
-        normals=every_pixel.normals[on_grid],
-        every_pixel=every_pixel,
+        normals_on_device=normals_on_device,
+        missing_on_device=_missing_share(flat, roi, config.missing_window, device),
+        smooth=smooth,
+        sphere=(centre, radius),
+        points=cloud.points,
+        normals=cloud.normals,
         T_camera_hand=T_camera_hand,
     )
+
+
+def _surfaces(
+    depth: Any, roi: Camera, far: float, config: ObservationConfig, device: str
+) -> tuple[Any, Any]:
+    """Smoothed depth [m] and normals of a flat image on the device, 0 where there are none."""
+    smooth = wp.empty(len(depth), dtype=float, device=device)
+    normals = wp.empty(len(depth), dtype=wp.vec3, device=device)
+    launch(
+        fit_planes,
+        len(depth),
+        [pinhole(roi), depth, config.normal_window, config.normal_gate, far, smooth, normals],
+        device,
+        work_per_item=25,
+    )
+    return smooth, normals
+
+
+def _missing_share(depth: Any, roi: Camera, radius: int, device: str) -> Any:
+    """Share of missing readings around every pixel without one, flat, on the device."""
+    in_rows = wp.empty(len(depth), dtype=int, device=device)
+    share = wp.empty(len(depth), dtype=float, device=device)
+    size = [roi.width, roi.height, radius]
+    launch(
+        missing_in_rows, roi.height, [depth, *size, in_rows], device, work_per_item=2 * roi.width
+    )
+    launch(
+        missing_share,
+        roi.width,
+        [depth, in_rows, *size, share],
+        device,
+        work_per_item=2 * roi.height,
+    )
+    return share
 
 
 def _window(
@@ -161,22 +184,18 @@ def _window(
     return u0, v0, u1, v1
 
 
-def _clouds(
+def _cloud(
     smooth: NDArray[np.float32],
     normals: NDArray[np.float32],
-    inside: NDArray[np.bool_],
     roi: Camera,
     sphere: tuple[NDArray[np.float64], float],
-    spacing: float,
-) -> tuple[Cloud, NDArray[np.bool_]]:
-    """The points of all pixels in the sphere, and which of them lie on a grid of this spacing."""
-    step = max(1, round(spacing * roi.fx / float(np.median(smooth[inside]))))
-    v, u = np.nonzero(inside & (normals[..., 2] != 0))
+    step: int,
+) -> Cloud:
+    """The points in the sphere of every `step`-th pixel that has a normal."""
+    every = slice(step // 2, None, step)
+    v, u = np.nonzero(normals[every, every, 2])
+    v, u = v * step + step // 2, u * step + step // 2
     z = smooth[v, u]
     points = np.stack([(u - roi.cx) / roi.fx * z, (v - roi.cy) / roi.fy * z, z], 1)
     near = np.linalg.norm(points - sphere[0], axis=1) < sphere[1]
-    on_grid = (u % step == step // 2) & (v % step == step // 2)
-    return (
-        Cloud(points[near].astype(np.float32), normals[v, u][near].astype(np.float32)),
-        on_grid[near],
-    )
+    return Cloud(points[near].astype(np.float32), normals[v[near], u[near]])

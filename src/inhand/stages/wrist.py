@@ -31,11 +31,10 @@ def fit_wrist(
     if not hand.is_palm.any():  # nothing shows where the wrist is but the fingers
         return Wrist(observation.T_camera_hand)
     visibility = HandVisibility(observation, hand, hand_config)
-    palm, rest = hand.hand.palm_links, hand.hand.rest[None]
 
     def score(T_camera_hand: Array, tolerance: float, points: int) -> Array:
-        q = np.repeat(rest, len(T_camera_hand), 0)
-        return visibility.score(palm, q, T_camera_hand, None, tolerance, points)[0]
+        no_joints = np.zeros((len(T_camera_hand), 0))
+        return visibility.score(hand.palm, no_joints, T_camera_hand, None, tolerance, points)[0]
 
     tried = _around(observation.T_camera_hand, config, rng)
     scores = score(tried, hand_config.coarse_tolerance, hand_config.coarse_points)
@@ -51,7 +50,7 @@ def fit_wrist(
         joint_damping=1.0,
     )
     widths = np.geomspace(config.max_distance, config.last_width, config.iterations)
-    _, refined = fit.refine(np.repeat(rest, len(starts), 0), starts, widths)
+    _, refined = fit.refine(np.repeat(hand.hand.rest[None], len(starts), 0), starts, widths)
     scores = score(refined, hand_config.fine_tolerance, hand_config.fine_points)
     return Wrist(refined[scores.argmax()])
 

@@ -1,0 +1,106 @@
+"""Forward kinematics of a tree of joints, for many configurations at once."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+Twist = wp.types.vector(length=6, dtype=wp.float64)
+"""Rotation [rad], then motion of the body's point at the wrist [m]."""
+
+
+@wp.struct
+class Chain:
+    """Joints and links as `inhand.kinematics.KinematicArrays` has them."""
+
+    parent: wp.array(dtype=int)
+    T_parent_joint: wp.array(dtype=wp.mat44d)
+    axis: wp.array(dtype=wp.vec3d)
+    kind: wp.array(dtype=int)
+    """0 for a joint that turns, 1 for one that slides."""
+    source: wp.array(dtype=int)
+    multiplier: wp.array(dtype=wp.float64)
+    offset: wp.array(dtype=wp.float64)
+    link_joint: wp.array(dtype=int)
+    T_joint_link: wp.array(dtype=wp.mat44d)
+
+
+@wp.func
+def rotation_of(T: wp.mat44d):
+    """The rotation of a rigid transform."""
+    return wp.mat33d(
+        T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2]
+    )
+
+
+@wp.func
+def position_of(T: wp.mat44d):
+    """The translation of a rigid transform [m]."""
+    return wp.vec3d(T[0, 3], T[1, 3], T[2, 3])
+
+
+@wp.func
+def rigid(R: wp.mat33d, t: wp.vec3d):
+    """The transform with this rotation and translation [m]."""
+    zero, one = wp.float64(0.0), wp.float64(1.0)
+    return wp.mat44d(
+        R[0, 0], R[0, 1], R[0, 2], t[0],
+        R[1, 0], R[1, 1], R[1, 2], t[1],
+        R[2, 0], R[2, 1], R[2, 2], t[2],
+        zero, zero, zero, one,
+    )  # fmt: skip
+
+
+@wp.func
+def joint_motion(chain: Chain, joint: int, position: wp.float64):
+    """The transform by which a joint moves what it carries."""
+    axis = chain.axis[joint]
+    if chain.kind[joint] == 1:
+        return rigid(wp.identity(n=3, dtype=wp.float64), position * axis)
+    turn = wp.quat_to_matrix(wp.quat_from_axis_angle(axis, position))
+    return rigid(turn, wp.vec3d())
+
+
+@wp.kernel
+def pose_links(
+    chain: Chain,
+    q: wp.array2d(dtype=wp.float64),
+    T_camera_hand: wp.array(dtype=wp.mat44d),
+    T_camera_joint: wp.array2d(dtype=wp.mat44d),
+    T_camera_link: wp.array(dtype=wp.mat44),
+    first: int,
+):
+    """One work item a configuration: where its joints and links are.
+
+    Args (beyond the obvious):
+        q: positions of the independent joints [rad, m], (c, n).
+        T_camera_hand: poses of the root, one for all configurations or one for each.
+        T_camera_joint: out, frames the joints move, (c, j).
+        T_camera_link: out, flat (c * L).
+    """
+    c = first + wp.tid()
+    T_camera_root = T_camera_hand[wp.min(c, T_camera_hand.shape[0] - 1)]
+    for joint in range(chain.parent.shape[0]):
+        T = T_camera_root
+        if chain.parent[joint] >= 0:
+            T = T_camera_joint[c, chain.parent[joint]]
+        position = q[c, chain.source[joint]] * chain.multiplier[joint] + chain.offset[joint]
+        T_camera_joint[c, joint] = (
+            T * chain.T_parent_joint[joint] * joint_motion(chain, joint, position)
+        )
+    links = chain.link_joint.shape[0]
+    for link in range(links):
+        T = T_camera_root
+        if chain.link_joint[link] >= 0:
+            T = T_camera_joint[c, chain.link_joint[link]]
+        T_camera_link[c * links + link] = wp.mat44(T * chain.T_joint_link[link])
+
+
+@wp.func
+def joint_twist(chain: Chain, joint: int, T_camera_joint: wp.mat44d, wrist: wp.vec3d):
+    """Twist, per unit of the independent joint, of what the joint carries; camera frame."""
+    axis = rotation_of(T_camera_joint) * chain.axis[joint] * chain.multiplier[joint]
+    if chain.kind[joint] == 1:
+        zero = wp.float64(0.0)
+        return Twist(zero, zero, zero, axis[0], axis[1], axis[2])
+    motion = wp.cross(position_of(T_camera_joint) - wrist, axis)
+    return Twist(axis[0], axis[1], axis[2], motion[0], motion[1], motion[2])
