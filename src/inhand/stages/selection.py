@@ -60,6 +60,6 @@ def _confidence(ranked: PoseSet, obj: PackedObject, config: SelectionConfig) -> 
     logit = (
         config.confidence_bias
         + config.confidence_fit * float(ranked.score[0])
-        + config.confidence_lead * min(lead, config.max_lead)
+        + config.confidence_lead * math.sqrt(min(lead, config.max_lead))
     )
     return 1 / (1 + math.exp(-max(min(logit, 50.0), -50.0)))
