@@ -113,7 +113,11 @@ class PackedHand:
             trace_bodies,
             (around[2] - around[0]) * (around[3] - around[1]),
             [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
-            + [wp.array(windows, dtype=wp.vec4i, device=self.device), wp.vec4i(*around), depth],
+            + [
+                wp.array(windows, dtype=wp.vec4i, device=self.device, copy=False),
+                wp.vec4i(*around),
+                depth,
+            ],
             self.device,
             work_per_item=30,
         )
@@ -155,8 +159,8 @@ class PackedPart:
         """
         joints = wp.empty((len(q), self._joint_count), dtype=wp.mat44d, device=self.device)
         links = wp.empty(len(q) * len(self.links), dtype=wp.mat44, device=self.device)
-        wrists = wp.array(T_camera_hand, dtype=wp.mat44d, device=self.device)
-        positions = wp.array(q, dtype=wp.float64, device=self.device)
+        wrists = wp.array(T_camera_hand, dtype=wp.mat44d, device=self.device, copy=False)
+        positions = wp.array(q, dtype=wp.float64, device=self.device, copy=False)
         launch(
             pose_links,
             len(q),
