@@ -193,3 +193,16 @@ def by_level(results: Sequence[FrameResult]) -> dict[str, dict[float, list[Frame
         for name, sweep in SWEEPS.items()
         if name in table
     }
+
+
+def curve(sweep: str, results: Sequence[FrameResult]) -> dict[float, list[FrameResult]]:
+    """One sweep's results by level, the levels rising; frames as they are where they belong.
+
+    Empty when there is no result of the sweep.
+    """
+    levels = by_level(results).get(sweep, {})
+    plain = [r for r in results if not r.perturbation]
+    none = SWEEPS[sweep].none
+    if levels and plain and none is not None:
+        levels = {none: plain, **levels}
+    return dict(sorted(levels.items()))
