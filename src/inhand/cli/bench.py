@@ -90,12 +90,13 @@ def run(args: Bench) -> int:
     """Run the benchmark; the exit code says whether Ctrl-C stopped it.
 
     Raises:
-        InputError: there are no frames, no hand or no objects, or the output folder holds results
-            made with other settings.
+        InputError: there are no frames, no hand or no objects, a sweep or method is unknown, or
+            the output folder holds results made with other settings.
     """
     from inhand.baselines.registry import find_methods
     from inhand.cluster import map_on_ray
     from inhand.datasets.frames import find_frames
+    from inhand.errors import InputError
     from inhand.evaluation.benchmark import key_of, missing, pick_frames
     from inhand.evaluation.contact_sheet import worst_frames
     from inhand.evaluation.machine import origin
@@ -112,6 +113,8 @@ def run(args: Bench) -> int:
     files = pick_frames(find_frames(args.frames), every=args.every, limit=args.limit)
     files = shard.pick(files)
     harder = find_perturbations(args.sweep) if args.sweep else []
+    if harder and (handicapped := [m.label for m in methods if m.perturbation]):
+        raise InputError(f"{handicapped[0]} is a perturbation already: leave it out of a sweep")
     device = resolve_device(args.device)
     settings = _settings(args, device)
     out = args.out or Path("out") / f"bench-{'-'.join(f.resolve().name for f in args.frames)}"
