@@ -67,20 +67,20 @@ SWEEPS: Mapping[str, Sweep] = {
         none=None,
     ),
     "wrist": Sweep(
-        "wrist given at a wrong place and turned by 8 deg for every 15 mm",
+        "wrist off, with 8 deg for every 15 mm",
         (0.003, 0.006, 0.009, 0.012, 0.015),
         lambda frame, level, _, rng: p.with_wrist_error(frame, level, level * TURN_PER_SHIFT, rng),
         *_MM,
         none=None,
     ),
     "noise": Sweep(
-        "more depth noise, in multiples of a structured-light camera's",
+        "noise added, times structured light's",
         (0.5, 1.0, 2.0, 3.0),
         lambda frame, level, _, rng: p.with_depth_noise(frame, level, rng),
         "x",
     ),
     "missing": Sweep(
-        "pixels without a reading, half of them in areas",
+        "pixels without a reading",
         (0.1, 0.3, 0.5, 0.7),
         lambda frame, level, _, rng: p.with_missing_depth(frame, level, rng),
         *_PERCENT,
@@ -107,7 +107,7 @@ SWEEPS: Mapping[str, Sweep] = {
         none=None,
     ),
     "crop": Sweep(
-        "this share of the hand's pixels outside the image",
+        "share of the hand outside the image",
         (0.2, 0.4, 0.6, 0.8),
         lambda frame, level, *_: p.cropped(frame, level),
         *_PERCENT,
