@@ -28,7 +28,7 @@ from inhand.evaluation.report import print_summary
 from inhand.evaluation.results import FrameResult, Ledger, read_results
 from inhand.evaluation.shards import Shard
 from inhand.evaluation.summary import summarise
-from inhand.evaluation.sweeps import Perturbation
+from inhand.evaluation.sweeps import SWEEPS, Perturbation
 from inhand.geometry import mesh as meshes
 from inhand.geometry.distance_field import build_distance_field
 from inhand.geometry.se3 import exp
@@ -436,6 +436,13 @@ def test_sweeps_from_the_command_line(
     np.testing.assert_allclose(models, expected, rtol=1e-6)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["frames"]["answer"] == 2, "of the frames as they are"
+
+
+def test_help_names_every_sweep(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["bench", "--help"])
+    words = capsys.readouterr().out.replace("│", " ").replace(",", " ").replace(".", " ").split()
+    assert set(SWEEPS) <= set(words)
 
 
 def test_a_perturbed_frame_is_scored_against_the_truth(
