@@ -28,6 +28,7 @@ from inhand.evaluation.report import print_summary
 from inhand.evaluation.results import FrameResult, Ledger, read_results
 from inhand.evaluation.shards import Shard
 from inhand.evaluation.summary import summarise
+from inhand.evaluation.sweeps import SWEEPS, Perturbation
 from inhand.geometry import mesh as meshes
 from inhand.geometry.distance_field import build_distance_field
 from inhand.geometry.se3 import exp
@@ -393,6 +394,68 @@ def test_command_line_runs_stops_and_goes_on(
     assert main([*command, "--seed", "1", "--restart"]) == 0
 
 
+def test_sweeps_from_the_command_line(
+    hand: Hand,
+    urdf: Path,
+    frames: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "objects").mkdir()
+    trimesh.creation.box(extents=(0.03, 0.04, 0.06)).export(tmp_path / "objects" / "box.ply")
+    told = ToldEstimator(hand, frames)
+    models: list[float] = []
+
+    def prepare(_: Hand, model: Any, **__: Any) -> ToldEstimator:
+        models.append(float(model.diameter))
+        return told
+
+    monkeypatch.setattr("inhand.baselines.estimators.PoseEstimator", prepare)
+    monkeypatch.setattr("inhand.cli.bench.load_kernels", lambda *_: None)
+    out = tmp_path / "out"
+    command = ["bench", str(frames), "--hand", str(urdf), "--device", "cpu", "--out", str(out)]
+    command += ["--objects", str(tmp_path / "objects"), "--limit", "2"]
+
+    assert main([*command, "--sweep", "missing"]) == 0
+    assert len(read_results(out / "results.jsonl").results) == 2 * (1 + 4)
+    text = (out / "sweeps.md").read_text()
+    assert text.count("\n### ") + text.startswith("### ") == 1
+    assert "### tiny, inhand: missing" in text
+    assert [line.split("|")[1].strip() for line in text.splitlines() if "%" in line[:9]] == (
+        ["10 %", "30 %", "50 %", "70 %"]
+    )
+    assert "missing" in capsys.readouterr().out
+    told.calls.clear()
+    assert main([*command, "--sweep", "missing"]) == 0
+    assert not told.calls, "everything is there"
+    models.clear()
+    assert main([*command, "--sweep", "object-scale"]) == 0
+    true = np.linalg.norm((0.03, 0.04, 0.06))
+    expected = true * np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
+    np.testing.assert_allclose(models, expected, rtol=1e-6)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["frames"]["answer"] == 2, "of the frames as they are"
+
+
+def test_help_names_every_sweep(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["bench", "--help"])
+    words = capsys.readouterr().out.replace("│", " ").replace(",", " ").replace(".", " ").split()
+    assert set(SWEEPS) <= set(words)
+
+
+def test_a_perturbed_frame_is_scored_against_the_truth(
+    hand: Hand, frames: Path, load_object: Callable[[str], Any]
+) -> None:
+    bench = benchmark(ToldEstimator(hand, frames), load_object)
+    result = bench.score(frames / "box_003.npz", Perturbation("focal-length", 0.02))
+    plain = bench.score(frames / "box_003.npz")
+    assert result.perturbation == {"focal-length": 0.02}
+    assert result.key != plain.key
+    assert result.adi == plain.adi, "the told answer does not depend on the image"
+
+
 def test_missing_ray_is_one_line(
     urdf: Path,
     frames: Path,
@@ -417,6 +480,11 @@ def test_missing_ray_is_one_line(
         (["{frames}", "--hand", "{urdf}", "--objects", "none"], "no folder of object meshes"),
         (["{frames}", "--every", "0"], "at least 1"),
         (["{frames}", "--methods", "magic"], 'no method "magic"'),
+        (["{frames}", "--sweep", "fog"], 'no sweep "fog"; known: all, wrist-position'),
+        (
+            ["{frames}", "--sweep", "noise", "--methods", "icp-from-truth@5mm"],
+            "icp-from-truth@5mm is a perturbation already",
+        ),
         (["{frames}", "--shard", "3/2"], "such as 2/4"),
         (["{frames}", "--shard", "a"], "such as 2/4"),
     ],

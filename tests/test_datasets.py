@@ -101,6 +101,16 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
         read_frame(path)
 
 
+def test_an_archive_of_another_version_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "newer.npz")
+    data = bytearray(path.read_bytes())
+    entry = data.index(b"PK\x01\x02")  # a file's entry in the archive's table
+    data[entry + 6] = 99  # the version that it takes to read it
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"newer\.npz"):
+        read_frame(path)
+
+
 def test_text_and_missing_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("not an archive")
     with pytest.raises(InputError, match=r"text\.npz"):

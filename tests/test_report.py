@@ -22,6 +22,8 @@ from inhand.evaluation.page import write_report
 from inhand.evaluation.results import FrameResult, Ledger, read_results
 from inhand.evaluation.study import Study, by_quantity, load_study
 from inhand.evaluation.summary import summarise
+from inhand.evaluation.sweep_tables import sweep_table, sweep_tables
+from inhand.evaluation.sweeps import curve
 from inhand.evaluation.tables import Best, Table
 
 SETTINGS = {"version": "1", "hand": "/nowhere/hand.urdf", "objects": "/nowhere/objects"}
@@ -76,6 +78,9 @@ def everything() -> list[FrameResult]:
             result(i, "icp", 0.002 + amount / 4, perturbation={"translation": amount})
             for i in range(4)
         ]
+    found += [
+        pipeline(i, 0.003 * k, perturbation={"noise": 1.0 * k}) for i in range(4) for k in (1, 2)
+    ]
     found.append(replace(result(6, "fpfh+hs", None), outcome="error", reason="a | <b> & c"))
     found.append(replace(result(7, "fpfh+hs", None), outcome="unreadable", reason="cut short"))
     return found
@@ -199,9 +204,9 @@ def test_one_result_in_two_files_is_refused(tmp_path: Path) -> None:
 
 def test_methods_on_different_frames_are_remarked() -> None:
     results = {"a": [result(0), result(1)], "b": [result(0)]}
-    uneven = Study((), results, {}, {})
+    uneven = Study((), results, {}, {}, {})
     assert uneven.remarks() == ["clean: not every method ran on all 2 frames: b on 1"]
-    assert Study((), {"a": [result(0)], "b": [result(0)]}, {}, {}).remarks() == []
+    assert Study((), {"a": [result(0)], "b": [result(0)]}, {}, {}, {}).remarks() == []
 
 
 def test_perturbations_by_quantity() -> None:
@@ -308,6 +313,63 @@ def test_tables_in_markdown_and_html_escape_what_they_hold() -> None:
     assert "x &lt; y" in page
 
 
+# --- sweeps
+
+
+def swept() -> list[FrameResult]:
+    """Six frames as they are; with noise, a third of them is right, and a third has no answer."""
+    found = [pipeline(i, 0.001) for i in range(6)]
+    for i, (adi, confidence) in enumerate([(0.001, 0.9), (0.02, 0.7), (0.02, 0.3)]):
+        made = pipeline(i, adi, perturbation={"noise": 3.0})
+        found.append(replace(made, confidence=confidence, seconds=0.1 * (i + 1)))
+    found.append(replace(result(3), perturbation={"noise": 3.0}, outcome="unreadable", adi=None))
+    found += [pipeline(i, None, perturbation={"noise": 1.0}) for i in range(2)]
+    return found + [pipeline(i, 0.001, perturbation={"wall": 0.1}) for i in range(2)]
+
+
+def test_a_sweep_as_a_table() -> None:
+    table = sweep_table("set, method", "noise", swept())
+    assert [row[0] for row in table.rows] == ["as it is", "1 x", "3 x"], "the levels in order"
+    shown = dict(zip(table.columns[1:], table.rows[2][1:], strict=True))
+    assert shown == {
+        "frames": "3",
+        "recall [%]": "33.3 (6-79)",
+        "found [%]": "100",
+        "median confidence": "0.70",
+        "AUROC": "1.00",
+        "sure but wrong [%]": "33",
+        "median time [ms]": "200",
+        "lost at": "selection 2",
+    }
+    nothing_found = dict(zip(table.columns[1:], table.rows[1][1:], strict=True))
+    assert nothing_found["found [%]"] == "0"
+    assert nothing_found["AUROC"] == "-"
+
+
+def test_a_table_for_every_data_set_and_sweep() -> None:
+    found = sweep_tables([*swept(), replace(result(0, data_set="b"), perturbation={"crop": 0.2})])
+    assert [t.title for t in found] == [
+        "b, inhand: crop",
+        "clean, inhand: noise",
+        "clean, inhand: wall",
+    ]
+    assert len(found[0].rows) == 1
+
+
+def test_a_curve_starts_from_frames_as_they_are_where_they_have_a_place_on_it() -> None:
+    noise, wall = curve("noise", swept()), curve("wall", swept())
+    assert list(noise) == [0.0, 1.0, 3.0]
+    assert len(noise[0.0]) == 6
+    assert list(wall) == [0.1]
+    assert curve("crop", swept()) == {}
+
+
+def test_sweeps_are_apart_from_perturbed_starts(study: Study) -> None:
+    assert list(study.swept) == ["inhand"]
+    assert list(study.perturbed) == ["icp"]
+    assert all(not r.perturbation for r in study.by_method["inhand"])
+
+
 # --- figures and the page
 
 
@@ -322,15 +384,24 @@ def test_figures_are_the_same_every_time(study: Study) -> None:
 def test_page_holds_every_section_and_needs_nothing_beside_it(folder: Path) -> None:
     page = (folder / "report.html").read_text()
     assert "A &lt;title&gt;" in page
-    sections = ["Methods", "Objects", "Occlusion", "Ablation", "Perturbed starts", "Time", "Hand"]
-    sections += ["Confidence", "Other measures", "Where frames are lost", "Frames", "Runs"]
+    sections = ["Methods", "Objects", "Occlusion", "Ablation", "Perturbed starts"]
+    sections += [
+        "Robustness",
+        "Time",
+        "Hand",
+        "Confidence",
+        "Other measures",
+        "Where frames are lost",
+        "Frames",
+        "Runs",
+    ]
     assert re.findall(r"<h2 id=[^>]+>([^<]+)</h2>", page) == sections
     links = re.findall(r'(?:src|href)="([^"]+)"', page)
     assert all(link.startswith(("data:image/", "#")) for link in links)
     anchors = {f"#{a}" for a in re.findall(r'id="([^"]+)"', page)}
     assert {link for link in links if link.startswith("#")} <= anchors
     images = [link for link in links if link.startswith("data:")]
-    assert len(images) == len(list((folder / "figures").iterdir())) == 9
+    assert len(images) == len(list((folder / "figures").iterdir())) == 10
     for image in images:
         svg = base64.b64decode(image.partition(",")[2]).decode()
         assert ElementTree.fromstring(svg).tag.endswith("svg")
@@ -406,7 +477,7 @@ def test_command_line(study: Study, tmp_path: Path, capsys: pytest.CaptureFixtur
     arguments = command.Report((folder,), out=tmp_path / "out", pictures=0)
     assert command.run(arguments) == 0
     assert (tmp_path / "out" / "report.html").exists()
-    assert "tables.md and 9 figures" in " ".join(capsys.readouterr().out.split())
+    assert "tables.md and 10 figures" in " ".join(capsys.readouterr().out.split())
 
 
 def test_origin_tells_command_commit_and_machine() -> None:

@@ -14,9 +14,9 @@ from rich.console import Console
 from inhand.cli.common import Preset, load_kernels
 
 if TYPE_CHECKING:
-    from inhand.baselines.method import Method
     from inhand.evaluation.contact_sheet import ContactSheet
-    from inhand.evaluation.results import FrameResult, Ledger
+    from inhand.evaluation.results import FrameResult, Key, Ledger
+    from inhand.evaluation.sweeps import Perturbation
     from inhand.object_model import ObjectModel
 
 INTERRUPTED = 130
@@ -36,6 +36,8 @@ class Job(NamedTuple):
     """Label of the method."""
     file: Path
     """The frame."""
+    perturbation: "Perturbation | None" = None
+    """What to make of it first."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,10 @@ class Bench:
     """Methods, separated by commas: inhand, paper, super4pcs, super4pcs+hs, super4pcs+hs+icp,
     fpfh-ransac, fgr, opencv-ppf, kiss-matcher (each also with +hs: without the hand, and +mask:
     given the object's true pixels), icp-from-truth, ablation. Default: inhand."""
+    sweep: str | None = None
+    """Also run on the frames made harder, step by step: `all`, or names separated by commas:
+    wrist-position, wrist-rotation, wrist, noise, missing, wall, table, second-hand, crop,
+    object-scale, focal-length, size. Prints a table for each and writes them to `sweeps.md`."""
     preset: Preset = "default"
     """Without --methods: the project's own configuration, or the paper's method."""
     ray: bool = False
@@ -84,12 +90,13 @@ def run(args: Bench) -> int:
     """Run the benchmark; the exit code says whether Ctrl-C stopped it.
 
     Raises:
-        InputError: there are no frames, no hand or no objects, or the output folder holds results
-            made with other settings.
+        InputError: there are no frames, no hand or no objects, a sweep or method is unknown, or
+            the output folder holds results made with other settings.
     """
     from inhand.baselines.registry import find_methods
     from inhand.cluster import map_on_ray
     from inhand.datasets.frames import find_frames
+    from inhand.errors import InputError
     from inhand.evaluation.benchmark import key_of, missing, pick_frames
     from inhand.evaluation.contact_sheet import worst_frames
     from inhand.evaluation.machine import origin
@@ -97,6 +104,7 @@ def run(args: Bench) -> int:
     from inhand.evaluation.results import Ledger
     from inhand.evaluation.shards import Shard
     from inhand.evaluation.summary import summarise
+    from inhand.evaluation.sweeps import find_perturbations
     from inhand.kernels.launch import resolve_device
 
     console = Console()
@@ -104,6 +112,9 @@ def run(args: Bench) -> int:
     methods = find_methods(args.methods or OWN_METHODS[args.preset], args.seed)
     files = pick_frames(find_frames(args.frames), every=args.every, limit=args.limit)
     files = shard.pick(files)
+    harder = find_perturbations(args.sweep) if args.sweep else []
+    if harder and (handicapped := [m.label for m in methods if m.perturbation]):
+        raise InputError(f"{handicapped[0]} is a perturbation already: leave it out of a sweep")
     device = resolve_device(args.device)
     settings = _settings(args, device)
     out = args.out or Path("out") / f"bench-{'-'.join(f.resolve().name for f in args.frames)}"
@@ -111,14 +122,16 @@ def run(args: Bench) -> int:
     ledger = Ledger(path, settings, origin(device), restart=args.restart)
 
     load_kernels(device, console)
-    jobs = [Job(m.label, file) for m in methods for file in missing(files, m, ledger)]
+    runs = [(m, perturbation) for m in methods for perturbation in (None, *harder)]
+    jobs = [Job(m.label, file, p) for m, p in runs for file in missing(files, m, ledger, p)]
     make_scorer = partial(_scorer, settings)
     if args.ray:
         scored = map_on_ray(make_scorer, jobs)
     else:
         with console.status("Building the model of the hand (from the cache next time)"):
             scored = map(make_scorer(), jobs)
-    finished = _run_with_progress(ledger.record(scored), methods, files, ledger, console)
+    keys = [key_of(file, m, p) for m, p in runs for file in files]
+    finished = _run_with_progress(ledger.record(scored), keys, ledger, console)
     results = {m.label: ledger.found(key_of(file, m) for file in files) for m in methods}
     summaries = {label: summarise(of_method) for label, of_method in results.items()}
     _write_summary(out / shard.named("summary.json"), settings, summaries)
@@ -126,12 +139,13 @@ def run(args: Bench) -> int:
         print_summary(summaries[methods[0].label], console)
     else:
         print_comparison(summaries, console)
+    if harder:
+        _tell_sweeps(ledger.found(keys), out / shard.named("sweeps.md"), console)
     if worst := worst_frames(results[methods[0].label], WORST):
         _contact_sheet(settings).save(out / shard.named("worst.png"), worst)
     console.print(f"Wrote {path}, and summary and pictures of the worst frames beside it")
     if not finished:
-        done = sum(map(len, results.values()))
-        left = f"Stopped at {done} of {len(files) * len(methods)} frames"
+        left = f"Stopped at {len(ledger.found(keys))} of {len(keys)} frames"
         console.print(f"[yellow]{left}; the same command goes on from there[/yellow]")
     return 0 if finished else INTERRUPTED
 
@@ -144,6 +158,18 @@ def _write_summary(
     if len(summaries) == 1:
         (content,) = summaries.values()
     path.write_text(json.dumps({"settings": settings, **content}, indent=2) + "\n")
+
+
+def _tell_sweeps(results: Sequence["FrameResult"], path: Path, console: Console) -> None:
+    """Print the sweeps' tables, and write them in Markdown."""
+    from inhand.evaluation import tables
+    from inhand.evaluation.sweep_tables import sweep_tables
+
+    found = sweep_tables(results)
+    for table in found:
+        console.print(tables.terminal(table))
+    path.write_text("\n".join(tables.markdown(table, table.title) for table in found))
+    console.print(f"Wrote {path}")
 
 
 def _settings(args: Bench, device: str) -> dict[str, Any]:
@@ -184,9 +210,9 @@ def _scorer(settings: dict[str, Any]) -> Callable[[Job], "FrameResult"]:
     @lru_cache(maxsize=1)
     def benchmark(label: str) -> Benchmark:
         (method,) = find_methods(label, settings["seed"])
-        return Benchmark(hand, load_object, method, settings["device"])
+        return Benchmark(hand, load_object, method, settings["device"], settings["seed"])
 
-    return lambda job: benchmark(job.method).score(job.file)
+    return lambda job: benchmark(job.method).score(job.file, job.perturbation)
 
 
 def _contact_sheet(settings: dict[str, Any]) -> "ContactSheet":
@@ -204,22 +230,15 @@ def _object_loader(settings: dict[str, Any]) -> Callable[[str], "ObjectModel"]:
 
 
 def _run_with_progress(
-    scored: Iterator["FrameResult"],
-    methods: Sequence["Method"],
-    files: Sequence[Path],
-    ledger: "Ledger",
-    console: Console,
+    scored: Iterator["FrameResult"], keys: Sequence["Key"], ledger: "Ledger", console: Console
 ) -> bool:
     """Run what is left to do under a progress bar; False when Ctrl-C stopped it."""
-    from inhand.evaluation.benchmark import key_of
-
     columns = (
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         progress.TimeRemainingColumn(),
         progress.TextColumn("{task.description}"),
     )
-    keys = [key_of(file, method) for method in methods for file in files]
     done = ledger.found(keys)
     with progress.Progress(*columns, console=console) as bar:
         task = bar.add_task("warming up", total=len(keys), completed=len(done))
@@ -236,10 +255,11 @@ def _run_with_progress(
 
 
 def _running_recall(results: Sequence["FrameResult"]) -> str:
-    """The method's name and its recall so far."""
+    """The method's name, what it is handicapped by, and its recall so far."""
     from inhand.evaluation.diagnosis import SOLVED
 
     scored = [r for r in results if r.outcome != "unreadable"]
     solved = sum(r.adi is not None and r.adi < SOLVED for r in scored)
     share = f"{solved / len(scored):.0%}" if scored else "-"
-    return f"{results[0].method}, ADI < 5 mm: {share}"
+    handicap = "".join(f", {name} {level:g}" for name, level in results[0].perturbation.items())
+    return f"{results[0].method}{handicap}, ADI < 5 mm: {share}"

@@ -22,7 +22,9 @@ from inhand.evaluation.diagnosis import (
     stages_reached,
 )
 from inhand.evaluation.metrics import ObjectMetric, PoseError, angle_errors, wrist_error
+from inhand.evaluation.perturbations import Bodies, scaled
 from inhand.evaluation.results import FrameResult, Key, Ledger, result_key
+from inhand.evaluation.sweeps import Perturbation
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
@@ -39,6 +41,7 @@ class Benchmark:
         load_object: gives the model of the object of a name.
         method: the method.
         device: Warp device of the method and of the scoring.
+        seed: seed of the perturbations.
     """
 
     def __init__(
@@ -47,13 +50,17 @@ class Benchmark:
         load_object: Callable[[str], ObjectModel],
         method: Method,
         device: str = "cpu",
+        seed: int = 0,
     ) -> None:
         self._hand = hand
         self._load_object = load_object
         self._method = method
         self._device = device
+        self._seed = seed
         self._renderer = DepthRenderer([link.mesh for link in hand.links], device)
-        self._objects: dict[str, tuple[ObjectMetric, PreparedMethod]] = {}
+        self._objects: dict[str, tuple[ObjectMetric, Bodies]] = {}
+        self._prepared: dict[str, PreparedMethod] = {}
+        self._object_scale = 1.0
 
     def run(self, files: Sequence[Path], ledger: Ledger) -> Iterator[FrameResult]:
         """Results of the frames that `ledger` lacks, each written to it before it is handed on.
@@ -62,19 +69,24 @@ class Benchmark:
         """
         return ledger.record(map(self.score, missing(files, self._method, ledger)))
 
-    def score(self, file: Path) -> FrameResult:
-        """Run the method on one frame and score it; never raises for what a frame does."""
-        result = self._score_file(file)
-        perturbation = dict(self._method.perturbation)
-        return replace(result, method=self._method.name, perturbation=perturbation)
+    def score(self, file: Path, perturbation: Perturbation | None = None) -> FrameResult:
+        """Run the method on one frame and score it; never raises for what a frame does.
 
-    def _score_file(self, file: Path) -> FrameResult:
+        Args:
+            file: the frame.
+            perturbation: what to make of it first.
+        """
+        result = self._score_file(file, perturbation)
+        handicap = handicap_of(self._method, perturbation)
+        return replace(result, method=self._method.name, perturbation=handicap)
+
+    def _score_file(self, file: Path, perturbation: Perturbation | None) -> FrameResult:
         try:
             frame = read_frame(file)
         except InputError as error:
             return FrameResult(frame_name(file), str(file), "unreadable", str(error))
         try:
-            return self._score(file, frame)
+            return self._score(file, frame, perturbation)
         except Exception as error:  # whatever a frame sets off, the others are still to come
             return FrameResult(
                 frame.name,
@@ -86,8 +98,11 @@ class Benchmark:
                 lost_at="error",
             )
 
-    def _score(self, file: Path, frame: Frame) -> FrameResult:
-        metric, method = self._models(frame)
+    def _score(self, file: Path, frame: Frame, perturbation: Perturbation | None) -> FrameResult:
+        metric, bodies = self._models(frame.object_name)
+        if perturbation is not None:
+            frame = perturbation.apply(frame, bodies, self._seed)
+        method = self._ready(frame, perturbation.object_scale if perturbation else 1.0)
         true_joints = self._hand.joint_vector(frame.truth.joint_positions)
         view = view_of(frame)
         started = time.perf_counter()
@@ -129,14 +144,29 @@ class Benchmark:
         )
         return replace(result, lost_at=lost_at)
 
-    def _models(self, frame: Frame) -> tuple[ObjectMetric, PreparedMethod]:
-        """Metric and method of the frame's object; a newly prepared method runs once to warm up."""
-        if frame.object_name not in self._objects:
+    def _models(self, name: str) -> tuple[ObjectMetric, Bodies]:
+        """What the true object of a name is scored with, and rendered with in the hand."""
+        if name not in self._objects:
+            model = self._load_object(name)
+            metric = ObjectMetric(model, self._device)
+            self._objects[name] = metric, Bodies(self._hand, model.mesh, self._device)
+        return self._objects[name]
+
+    def _ready(self, frame: Frame, object_scale: float) -> PreparedMethod:
+        """The method for the frame's object; when it is new, it runs once to warm up.
+
+        Only methods for models of one scale are kept.
+        """
+        if object_scale != self._object_scale:
+            self._prepared.clear()
+            self._object_scale = object_scale
+        if frame.object_name not in self._prepared:
             model = self._load_object(frame.object_name)
+            model = model if object_scale == 1.0 else scaled(model, object_scale)
             method = self._method.prepare(self._hand, model, self._device)
             method.run(view_of(frame))
-            self._objects[frame.object_name] = ObjectMetric(model, self._device), method
-        return self._objects[frame.object_name]
+            self._prepared[frame.object_name] = method
+        return self._prepared[frame.object_name]
 
     def _joint_errors(self, angles: Mapping[str, float], frame: Frame) -> dict[str, float]:
         chain = self._hand.chain
@@ -191,14 +221,24 @@ def _wrist_errors(
     return {stage: wrist_error(T, truth) for stage, T in poses.items() if T is not None}
 
 
-def missing(files: Sequence[Path], method: Method, ledger: Ledger) -> list[Path]:
+def missing(
+    files: Sequence[Path],
+    method: Method,
+    ledger: Ledger,
+    perturbation: Perturbation | None = None,
+) -> list[Path]:
     """The frames that have no result of the method in the ledger."""
-    return [file for file in files if key_of(file, method) not in ledger.results]
+    return [file for file in files if key_of(file, method, perturbation) not in ledger.results]
 
 
-def key_of(file: Path, method: Method) -> Key:
+def key_of(file: Path, method: Method, perturbation: Perturbation | None = None) -> Key:
     """What the ledger knows the method's result on a frame by."""
-    return result_key(frame_name(file), method.name, method.perturbation)
+    return result_key(frame_name(file), method.name, handicap_of(method, perturbation))
+
+
+def handicap_of(method: Method, perturbation: Perturbation | None) -> dict[str, float]:
+    """What a result is handicapped by: the method's own perturbation, and that of the frame."""
+    return {**method.perturbation, **dict([perturbation] if perturbation else [])}
 
 
 def pick_frames(files: Sequence[Path], *, every: int = 1, limit: int | None = None) -> list[Path]:

@@ -10,6 +10,8 @@ from inhand.evaluation.diagnosis import POSE_STAGES
 from inhand.evaluation.figures import Figures
 from inhand.evaluation.study import ABLATION, UPPER_BOUND, Study
 from inhand.evaluation.summary import Results, Summary, summarise
+from inhand.evaluation.sweep_tables import sweep_table
+from inhand.evaluation.sweeps import by_level
 from inhand.evaluation.tables import Table
 
 LISTED_FAILURES = 50
@@ -57,9 +59,8 @@ class Contents:
     def __init__(self, study: Study, reference: str) -> None:
         self._study = study
         self._reference = reference
-        self._figures = Figures(
-            [*(m for m in study.by_method if not m.startswith(ABLATION)), *study.perturbed]
-        )
+        plain = [m for m in study.by_method if not m.startswith(ABLATION)]
+        self._figures = Figures(list(dict.fromkeys([*plain, *study.perturbed, *study.swept])))
 
     @cached_property
     def _every_summary(self) -> Panels:
@@ -94,6 +95,7 @@ class Contents:
             self._visible(),
             self._ablation(),
             self._perturbations(),
+            self._sweeps(),
             self._times(),
             self._hand(),
             self._confidence(),
@@ -187,6 +189,26 @@ class Contents:
             table = report.perturbation_table(of)
             items.append(self._table(f"perturbation-table-{name}", name, table, of))
         return Section("Perturbed starts", "", tuple(items))
+
+    def _sweeps(self) -> Section:
+        items = []
+        for name in self._study.data_sets:
+            swept = self._study.swept_results(name)
+            if not swept:
+                continue
+            every = {m: [*self._study.results(name).get(m, []), *of] for m, of in swept.items()}
+            caption = (
+                f"{name}: recall, with 95 % intervals, and mean confidence (dotted) by what is "
+                "wrong with the frames. Both should fall together."
+            )
+            svg = self._figures.sweep_curves(every)
+            items.append(self._figure(f"sweeps-{name}", caption, svg, every))
+            for method, results in every.items():
+                for sweep in by_level(results):
+                    table = sweep_table(method, sweep, results)
+                    items.append(self._table(f"sweep-{sweep}-{name}", name, table, [method]))
+        text = "Frames made harder, step by step; see `inhand bench --sweep`."
+        return Section("Robustness", text, tuple(items))
 
     def _times(self) -> Section:
         timed = {m: s for m, s in self._pooled.items() if s["time"]["whole estimate"]["count"]}

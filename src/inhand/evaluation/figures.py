@@ -14,6 +14,7 @@ from inhand.evaluation.diagnosis import SOLVED
 from inhand.evaluation.statistics import ReliabilityBin
 from inhand.evaluation.study import UNITS, by_quantity
 from inhand.evaluation.summary import AREA_LIMIT, VISIBLE_BINS, Results, Summary, solved_share
+from inhand.evaluation.sweeps import SWEEPS, curve
 
 # Colours that also the colour-blind tell apart (Okabe and Ito, "Color universal design", 2008),
 # and some more.
@@ -111,6 +112,28 @@ class Figures:
                     axes.axhline(level, label=method, linewidth=1, **self._look[method])
                 axes.set(title="", xlabel=f"{quantity} [{unit}]" if unit else quantity)
                 axes.set_xlim(left=0)
+            return sheet.svg()
+
+    def sweep_curves(self, results: Results) -> str:
+        """Recall, and mean confidence, over the level of a sweep; a panel a sweep.
+
+        Args:
+            results: results by method, on frames as they are and at the levels of sweeps.
+        """
+        panels = {
+            name: found
+            for name in SWEEPS
+            if (found := {m: c for m, of in results.items() if (c := curve(name, of))})
+        }
+        with _Sheet(panels, "", "recall (ADI < 5 mm), confidence") as sheet:
+            for (axes, methods), name in zip(sheet, panels, strict=True):
+                sweep = SWEEPS[name]
+                for method, levels in methods.items():
+                    x = np.array(list(levels)) * sweep.scale
+                    self._with_intervals(axes, x, list(map(solved_share, levels.values())), method)
+                    sure = [np.mean([r.confidence for r in of]) for of in levels.values()]
+                    axes.plot(x, sure, **{**self._look[method], "linestyle": ":"})
+                axes.set(title=name, xlabel=f"{sweep.title} [{sweep.unit}]")
             return sheet.svg()
 
     def recall_against_time(self, panels: Mapping[str, Mapping[str, Summary]]) -> str:

@@ -36,7 +36,7 @@ def make_report(
     Raises:
         InputError: there is no such method.
     """
-    methods = list(study.by_method) or list(study.perturbed)
+    methods = list(study.by_method) or [*study.perturbed, *study.swept]
     if reference is not None and reference not in methods:
         raise InputError(f'there is no method "{reference}" in the results: {", ".join(methods)}')
     if reference is None:
@@ -59,7 +59,8 @@ def _facts(study: Study) -> list[str]:
     facts = []
     for name in study.data_sets:
         methods = {**study.results(name), **study.results(name, ablation=True)}
-        every = [*methods.values(), *study.perturbed_results(name).values()]
+        harder = {**study.perturbed_results(name), **study.swept_results(name)}
+        every = [*methods.values(), *harder.values()]
         frames = {r.frame for of in every for r in of}
         objects = sorted({r.object_name for of in every for r in of if r.object_name})
         facts.append(

@@ -39,7 +39,7 @@ def print_summary(summary: Summary, console: Console) -> None:
         console.print(tables.terminal(table))
     area, memory = summary["confidence"]["auroc"]["value"], summary["peak_memory"]
     console.print(
-        f"Best of the first 3 candidates, ADI < 5 mm: {_percent(summary['top3_recall'], 0)} %\n"
+        f"Best of the first 3 candidates, ADI < 5 mm: {percent(summary['top3_recall'], 0)} %\n"
         f"AUROC of the confidence: {_number(area, 1, 2)}\n"
         f"Peak memory: {_number(memory, 2**-30, 2, ' GiB')}\n"
         f"Frames: {_outcomes(summary)}"
@@ -73,7 +73,7 @@ def _recall_table(recall: Mapping[str, Any]) -> Table:
 
     def add(name: str, shares: Mapping[str, Any]) -> None:
         frames = str(shares["5 mm"]["frames"])
-        rows.append((name, frames, *(_percent(shares[t], 0) for t in THRESHOLDS)))
+        rows.append((name, frames, *(percent(shares[t], 0) for t in THRESHOLDS)))
 
     add("all frames", recall["all"])
     for group in ("set", "object", "visible share"):
@@ -108,7 +108,7 @@ def _error_table(summary: Summary) -> Table:
 
 def _stage_table(stages: Mapping[str, Any]) -> Table:
     rows = tuple(
-        (stage, _percent(row["alive"], 0) if row["alive"] else "", str(row["lost"] or ""))
+        (stage, percent(row["alive"], 0) if row["alive"] else "", str(row["lost"] or ""))
         for stage, row in stages.items()
     )
     return Table("Stages", ("stage", "good pose [%]", "frames lost here"), rows)
@@ -164,7 +164,7 @@ def _at(*keys: str) -> Callable[[Summary], Any]:
 def _share_column(head: str, *keys: str) -> _Column:
     """A share and its interval."""
     find = _at(*keys)
-    return _Column(head, lambda s: _percent(find(s)), _at(*keys, "share"))
+    return _Column(head, lambda s: percent(find(s)), _at(*keys, "share"))
 
 
 def _mean_column(head: str, *keys: str) -> _Column:
@@ -380,7 +380,7 @@ def ablation_table(steps: Summaries) -> Table:
     shares = [s["recall"]["all"]["5 mm"] for s in steps.values()]
     gains = [100 * (after["share"] - before["share"]) for before, after in pairwise(shares)]
     rows = tuple(
-        (f"+ {name}" if i else name, _percent(shares[i]), f"{gains[i - 1]:+.1f}" if i else "")
+        (f"+ {name}" if i else name, percent(shares[i]), f"{gains[i - 1]:+.1f}" if i else "")
         for i, name in enumerate(steps)
     )
     return Table("Ablation (ADI < 5 mm)", ("step", "recall", "gain [points]"), rows, _IN_PERCENT)
@@ -395,12 +395,13 @@ def perturbation_table(perturbed: Results) -> Table:
             for amount, results in amounts.items():
                 share = solved_share(results)
                 handicap = f"{quantity} {amount * scale:.3g} {unit}".rstrip()
-                rows.append((method, handicap, str(share["frames"]), _percent(share)))
+                rows.append((method, handicap, str(share["frames"]), percent(share)))
     columns = ("method", "perturbation", "frames", "recall")
     return Table("Recall by perturbation (ADI < 5 mm)", columns, tuple(rows), _IN_PERCENT)
 
 
-def _percent(share: Mapping[str, Any] | None, decimals: int = 1) -> str:
+def percent(share: Mapping[str, Any] | None, decimals: int = 1) -> str:
+    """A share with its interval as a cell, in percent."""
     if share is None:
         return NOTHING
     estimate = Estimate(share["share"], share["low"], share["high"])

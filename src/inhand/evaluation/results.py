@@ -34,7 +34,7 @@ class FrameResult:
     method: str = "inhand"
     """Name of the method."""
     perturbation: dict[str, float] = field(default_factory=dict)
-    """What the method was handicapped by, by name [m, rad]; empty for most."""
+    """What the method or its frame was handicapped by, by name [SI units]; empty for most."""
     T_camera_object: list[list[float]] | None = None
     """Estimated object pose."""
     T_camera_hand: list[list[float]] | None = None

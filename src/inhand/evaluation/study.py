@@ -8,6 +8,7 @@ from pathlib import Path
 from inhand.errors import InputError
 from inhand.evaluation.results import FrameResult, Record, read_results
 from inhand.evaluation.summary import Results, data_set
+from inhand.evaluation.sweeps import perturbation_of
 
 ABLATION = "ablation-"
 """Names of methods that are steps of the ablation begin with this."""
@@ -27,13 +28,15 @@ class Study:
     """Results of the methods as they are."""
     perturbed: Results
     """Results of methods that were handicapped."""
+    swept: Results
+    """Results on frames that a sweep made harder."""
     sources: Mapping[str, frozenset[int]]
     """Which of the records the results of each method, handicapped or not, come from."""
 
     @property
     def data_sets(self) -> list[str]:
         """Names of the data sets, sorted."""
-        results = [*self.by_method.values(), *self.perturbed.values()]
+        results = [*self.by_method.values(), *self.perturbed.values(), *self.swept.values()]
         return sorted({data_set(r) for of_method in results for r in of_method})
 
     def led_by(self, method: str) -> "Study":
@@ -43,17 +46,16 @@ class Study:
 
     def results(self, name: str, *, ablation: bool = False) -> Results:
         """Results on one data set, of the methods or of the ablation's steps."""
-        found = {
-            method: [r for r in results if data_set(r) == name]
-            for method, results in self.by_method.items()
-            if method.startswith(ABLATION) == ablation
-        }
-        return {method: results for method, results in found.items() if results}
+        found = _on(name, self.by_method)
+        return {m: of for m, of in found.items() if m.startswith(ABLATION) == ablation}
 
     def perturbed_results(self, name: str) -> Results:
         """Results of the handicapped methods on one data set."""
-        found = {m: [r for r in of if data_set(r) == name] for m, of in self.perturbed.items()}
-        return {method: results for method, results in found.items() if results}
+        return _on(name, self.perturbed)
+
+    def swept_results(self, name: str) -> Results:
+        """Results on frames of one data set that a sweep made harder."""
+        return _on(name, self.swept)
 
     def remarks(self) -> list[str]:
         """What a reader must know before comparing the methods: not all ran on the same frames."""
@@ -71,6 +73,12 @@ class Study:
         return found
 
 
+def _on(name: str, results: Results) -> Results:
+    """The results on one data set, of the methods that have any."""
+    found = {m: [r for r in of if data_set(r) == name] for m, of in results.items()}
+    return {method: of for method, of in found.items() if of}
+
+
 def load_study(paths: Sequence[Path]) -> Study:
     """Read results files, or folders of such.
 
@@ -85,6 +93,7 @@ def load_study(paths: Sequence[Path]) -> Study:
     clashing = _clashing_methods(records)
     plain: dict[str, list[FrameResult]] = {}
     perturbed: dict[str, list[FrameResult]] = {}
+    swept: dict[str, list[FrameResult]] = {}
     sources: dict[str, set[int]] = {}
     first_seen: dict[tuple[object, ...], Path] = {}
     for index, record in enumerate(records):
@@ -99,11 +108,15 @@ def load_study(paths: Sequence[Path]) -> Study:
                     f"{result.frame}: leave one of them out"
                 )
             first_seen[key] = record.path
-            (perturbed if result.perturbation else plain).setdefault(label, []).append(result)
+            kind = plain
+            if result.perturbation:
+                kind = swept if perturbation_of(result) else perturbed
+            kind.setdefault(label, []).append(result)
             sources.setdefault(label, set()).add(index)
     if not first_seen:
         raise InputError(f"there is no result in {', '.join(str(r.path) for r in records)}")
-    return Study(records, plain, perturbed, {k: frozenset(v) for k, v in sources.items()})
+    runs = {label: frozenset(indices) for label, indices in sources.items()}
+    return Study(records, plain, perturbed, swept, runs)
 
 
 def find_results(paths: Iterable[Path]) -> list[Path]:

@@ -145,7 +145,10 @@ def from_trimesh(loaded: Any, scale: ArrayLike = 1.0) -> TriangleMesh:
     faces = np.asarray(loaded.faces, dtype=np.int32).reshape(-1, 3)
     if np.prod(np.broadcast_to(factor, 3)) < 0:
         faces = faces[:, ::-1]
-    return _clean(np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3) * factor, faces)
+    vertices = np.asarray(loaded.vertices, dtype=np.float64)
+    if vertices.size and vertices.shape[1:] != (3,):
+        raise InputError(f"vertices must have 3 coordinates, got an array of {vertices.shape}")
+    return _clean(vertices.reshape(-1, 3) * factor, faces)
 
 
 def _clean(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> TriangleMesh:

@@ -195,13 +195,8 @@ def incidence_angle(depth: Image, camera: Camera) -> Image:
     return np.asarray(angle.numpy().reshape(depth.shape))
 
 
-def _noise(shape: tuple[int, ...], model: SensorModel, rng: np.random.Generator) -> Image:
-    """Gaussian noise of unit variance, over which neighbours agree as the model says."""
-    return _smooth_noise(shape, model.correlation, rng)
-
-
-def _smooth_noise(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -> Image:
-    """Gaussian noise of unit variance, smoothed with a Gaussian of `sd` [pixel]."""
+def smooth_noise(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -> Image:
+    """Gaussian noise of unit variance, smoothed with a Gaussian of `sd` [pixel], of this shape."""
     white = rng.standard_normal(shape, np.float32)
     if sd == 0:
         return white
@@ -209,6 +204,11 @@ def _smooth_noise(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -
     impulse[len(impulse) // 2] = 1.0
     gain = np.sum(gaussian_filter(impulse, sd) ** 2)  # along each of the two axes
     return np.asarray(gaussian_filter(white, sd, mode="wrap") / np.float32(gain))
+
+
+def _noise(shape: tuple[int, ...], model: SensorModel, rng: np.random.Generator) -> Image:
+    """Gaussian noise of unit variance, over which neighbours agree as the model says."""
+    return smooth_noise(shape, model.correlation, rng)
 
 
 def _fattened(depth: Image, pixels: int) -> Image:
@@ -285,4 +285,4 @@ def _holes(
     """Blobs that cover the given share of the image."""
     if model.hole_share == 0:
         return np.zeros(shape, dtype=bool)
-    return _smooth_noise(shape, model.hole_size, rng) > -float(ndtri(model.hole_share))
+    return smooth_noise(shape, model.hole_size, rng) > -float(ndtri(model.hole_share))
