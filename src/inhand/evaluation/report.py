@@ -273,12 +273,12 @@ def stage_time_table(summaries: Summaries) -> Table:
     def cell(spread: Mapping[str, Any]) -> str:
         if not spread.get("count"):
             return NOTHING
-        return " ± ".join(_number(spread[k], 1000, 1) for k in ("mean", "deviation"))
+        return " / ".join(_number(spread[k], 1000, 1) for k in ("median", "p95", "p99"))
 
     rows = tuple(
         (stage, *(cell(s["time"].get(stage, {})) for s in summaries.values())) for stage in stages
     )
-    note = "Mean ± standard deviation in ms."
+    note = "Median / 95 % / 99 % quantile in ms."
     return Table("Time by stage", ("stage", *summaries), rows, note)
 
 
