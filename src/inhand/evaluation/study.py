@@ -27,8 +27,8 @@ class Study:
     """Results of the methods as they are."""
     perturbed: Results
     """Results of methods that were handicapped."""
-    sources: Mapping[str, frozenset[int]]
-    """Which of the records the results of each method, handicapped or not, come from."""
+    sources: Mapping[tuple[str, str], frozenset[int]]
+    """Which of the records the results come from, by method, handicapped or not, and data set."""
 
     @property
     def data_sets(self) -> list[str]:
@@ -54,6 +54,16 @@ class Study:
         """Results of the handicapped methods on one data set."""
         found = {m: [r for r in of if data_set(r) == name] for m, of in self.perturbed.items()}
         return {method: results for method, results in found.items() if results}
+
+    def runs(self, methods: Iterable[str], name: str | None = None) -> frozenset[int]:
+        """Which of the records the methods' results on one data set, or on all, come from."""
+        wanted = set(methods)
+        found = [
+            runs
+            for (method, of), runs in self.sources.items()
+            if method in wanted and name in (None, of)
+        ]
+        return frozenset[int]().union(*found)
 
     def remarks(self) -> list[str]:
         """What a reader must know before comparing the methods: not all ran on the same frames."""
@@ -85,7 +95,7 @@ def load_study(paths: Sequence[Path]) -> Study:
     clashing = _clashing_methods(records)
     plain: dict[str, list[FrameResult]] = {}
     perturbed: dict[str, list[FrameResult]] = {}
-    sources: dict[str, set[int]] = {}
+    sources: dict[tuple[str, str], set[int]] = {}
     first_seen: dict[tuple[object, ...], Path] = {}
     for index, record in enumerate(records):
         for result in record.results:
@@ -100,7 +110,7 @@ def load_study(paths: Sequence[Path]) -> Study:
                 )
             first_seen[key] = record.path
             (perturbed if result.perturbation else plain).setdefault(label, []).append(result)
-            sources.setdefault(label, set()).add(index)
+            sources.setdefault((label, data_set(result)), set()).add(index)
     if not first_seen:
         raise InputError(f"there is no result in {', '.join(str(r.path) for r in records)}")
     return Study(records, plain, perturbed, {k: frozenset(v) for k, v in sources.items()})
