@@ -24,7 +24,7 @@ from inhand.evaluation.benchmark import Benchmark, peak_memory, pick_frames
 from inhand.evaluation.contact_sheet import TILE, ContactSheet, worst_frames
 from inhand.evaluation.diagnosis import SegmentQuality, stage_to_blame
 from inhand.evaluation.metrics import PoseError
-from inhand.evaluation.report import print_summary
+from inhand.evaluation.report import print_comparison, print_summary
 from inhand.evaluation.results import FrameResult, Ledger, read_results
 from inhand.evaluation.shards import Shard
 from inhand.evaluation.summary import summarise
@@ -254,6 +254,9 @@ def test_bad_frames_are_counted_and_never_end_the_run(
     text = printed(summary)
     for words in ("box_001", "complete .npz", "no object sock", "cucumber"):
         assert words in text
+    beside = StringIO()
+    print_comparison({"one": summary, "other": summary}, Console(file=beside, width=120))
+    assert "other: 3 answer, 2 error, 1 unreadable" in beside.getvalue()
 
 
 def test_an_interrupted_run_goes_on_where_it_stopped(

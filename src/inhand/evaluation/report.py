@@ -53,8 +53,11 @@ def print_summary(summary: Summary, console: Console) -> None:
 
 
 def print_comparison(summaries: Summaries, console: Console) -> None:
-    """Print one line for each method."""
+    """Print one line for each method, and which had frames that went wrong."""
     console.print(tables.terminal(overview_table(summaries)))
+    for method, summary in summaries.items():
+        if summary["frames"]["error"] or summary["frames"]["unreadable"]:
+            console.print(f"[red]{method}[/red]: {_outcomes(summary)}", highlight=False)
 
 
 def method_tables(summary: Summary) -> list[Table]:
