@@ -195,7 +195,7 @@ class Contents:
         if not timed:
             return Section("Time", "", ())
         caption = "Mean time of every stage. Rest: what no stage accounts for."
-        staged = {m: s for m, s in timed.items() if any(map(s["time"].get, POSE_STAGES))}
+        staged = {m: s for m, s in timed.items() if _is_pipeline(s)}
         items = (
             self._figure("time", caption, figures.time_bars(timed), timed),
             self._table("time-table", EVERYWHERE, report.time_table(timed), timed),
@@ -226,9 +226,11 @@ class Contents:
             "Reliability: how often answers of a confidence are right (ADI < 5 mm), with 95 % "
             "intervals. On the grey line the confidence says just that."
         )
-        figure = self._figure(
-            "reliability", caption, self._figures.reliability_curves(sure), self._pooled
-        )
+        # What other methods give is a score, which promises nothing.
+        drawn = _where(sure, _is_pipeline) or sure
+        methods = {method for summaries in drawn.values() for method in summaries}
+        svg = self._figures.reliability_curves(drawn)
+        figure = self._figure("reliability", caption, svg, methods)
         items = self._per_set("confidence", sure, report.confidence_table)
         return Section("Confidence", "", (figure, *items))
 
@@ -292,6 +294,11 @@ class Contents:
         self, key: str, caption: str, svg: str, methods: Iterable[str], of: str | None = None
     ) -> Item:
         return Item(key, caption, svg, self._study.runs(methods, of))
+
+
+def _is_pipeline(summary: Summary) -> bool:
+    """Whether the method is a variant of this project's pipeline, by the stages it timed."""
+    return any(map(summary["time"].get, POSE_STAGES))
 
 
 def _where(panels: Panels, holds: Callable[[Summary], object]) -> Panels:
