@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Measures what docs/results.md shows, and puts the tables there.
 #
-#   benchmarks/results.sh [FOLDER [STEP...]]     steps: data inhand others tables; default: all
+#   benchmarks/results.sh [FOLDER [STEP...]]     steps: data inhand paper others tables
+#                                                (default: all)
 #
 # FOLDER (default: out/results) takes data sets and results. Every step goes on where it was
 # stopped. Results of other code are refused: remove the folder FOLDER/out/* to make them anew, or
@@ -13,7 +14,7 @@ repository=$(cd "$(dirname "$0")/.." && pwd)
 command=${INHAND:-$repository/.venv/bin/inhand}
 folder=${1:-$repository/out/results}
 steps=("${@:2}")
-[ ${#steps[@]} -gt 0 ] || steps=(data inhand others tables)
+[ ${#steps[@]} -gt 0 ] || steps=(data inhand paper others tables)
 mkdir -p "$folder/data"
 cd "$folder" # so that the commands, which the tables quote, name no folder of this machine
 
@@ -29,19 +30,21 @@ inhand() {
   on_dev inhand --methods inhand
 }
 
-# The slower a method, the fewer frames it gets: every n-th, where n has no factor in common with
-# the four ranges of visible shares, nor with the 50 images of a scene.
+# The slower a method, the fewer frames it gets: every n-th, with n such that all objects, colours
+# and ranges of visible shares, which take turns within a scene, get about as many.
+paper() {
+  on_synthetic paper --methods paper --every 3
+  on_dev paper --methods paper
+}
+
 others() {
-  local fast super4pcs kiss
+  local fast slow
   fast=$(variants fgr),$(variants fpfh-ransac),$(variants opencv-ppf)
-  super4pcs=super4pcs,super4pcs+hs,super4pcs+hs+icp,super4pcs+icp+mask
-  kiss=$(variants kiss-matcher)
-  on_synthetic others --methods paper --every 3
-  on_synthetic others --methods "$fast" --every 9
-  on_synthetic others --methods "$super4pcs,$kiss,icp-from-truth,ablation" --every 27
-  on_dev others --methods paper
+  slow=super4pcs,super4pcs+hs,super4pcs+hs+icp,super4pcs+icp+mask,$(variants kiss-matcher)
+  slow+=,icp-from-truth,ablation
+  on_synthetic others --methods "$fast,$slow" --every 21
   on_dev others --methods "$fast" --every 3
-  on_dev others --methods "$super4pcs,$kiss,icp-from-truth,ablation" --every 5
+  on_dev others --methods "$slow" --every 5
 }
 
 variants() { echo "$1,$1+hs,$1+mask"; }
@@ -57,7 +60,7 @@ on_dev() {
 # What follows the mark in docs/results.md is replaced by the report's tables, and by those of its
 # figures that docs/figures has already.
 tables() {
-  "$command" report out/*-inhand out/*-others --out report
+  "$command" report out/* --out report
   local docs=$repository/docs figure
   for figure in "$docs"/figures/*.svg; do cp "report/figures/${figure##*/}" "$figure"; done
   sed -i '/^<!-- tables/q' "$docs/results.md"
