@@ -496,10 +496,18 @@ def test_picks_frames_evenly() -> None:
     files = [Path(str(i)) for i in range(10)]
     assert pick_frames(files) == files
     assert pick_frames(files, every=4) == [files[0], files[4], files[8]]
-    assert pick_frames(files, limit=3) == [files[0], files[3], files[6]]
     assert pick_frames(files, every=5, limit=9) == [files[0], files[5]]
+    few = [files.index(file) for file in pick_frames(files, limit=3)]
+    assert all(low <= i < high for low, i, high in zip((0, 3, 6), few, (3, 6, 10), strict=True))
     with pytest.raises(InputError, match="at least 1"):
         pick_frames(files, limit=0)
+
+
+def test_a_part_of_the_frames_has_of_all_kinds() -> None:
+    files = [Path(str(i)) for i in range(600)]  # kinds take turns in fours
+    kinds = np.bincount([int(str(file)) % 4 for file in pick_frames(files, limit=60)])
+    assert len(kinds) == 4
+    assert kinds.min() >= 8, "equal steps of 10 would give two kinds of 30"
 
 
 def test_shards_share_the_frames_evenly() -> None:
