@@ -24,7 +24,7 @@ from inhand.evaluation.benchmark import Benchmark, peak_memory, pick_frames
 from inhand.evaluation.contact_sheet import TILE, ContactSheet, worst_frames
 from inhand.evaluation.diagnosis import SegmentQuality, stage_to_blame
 from inhand.evaluation.metrics import PoseError
-from inhand.evaluation.report import print_summary
+from inhand.evaluation.report import print_comparison, print_summary
 from inhand.evaluation.results import FrameResult, Ledger, read_results
 from inhand.evaluation.shards import Shard
 from inhand.evaluation.summary import summarise
@@ -255,6 +255,9 @@ def test_bad_frames_are_counted_and_never_end_the_run(
     text = printed(summary)
     for words in ("box_001", "complete .npz", "no object sock", "cucumber"):
         assert words in text
+    beside = StringIO()
+    print_comparison({"one": summary, "other": summary}, Console(file=beside, width=120))
+    assert "other: 3 answer, 2 error, 1 unreadable" in beside.getvalue()
 
 
 def test_an_interrupted_run_goes_on_where_it_stopped(
@@ -561,10 +564,18 @@ def test_picks_frames_evenly() -> None:
     files = [Path(str(i)) for i in range(10)]
     assert pick_frames(files) == files
     assert pick_frames(files, every=4) == [files[0], files[4], files[8]]
-    assert pick_frames(files, limit=3) == [files[0], files[3], files[6]]
     assert pick_frames(files, every=5, limit=9) == [files[0], files[5]]
+    few = [files.index(file) for file in pick_frames(files, limit=3)]
+    assert all(low <= i < high for low, i, high in zip((0, 3, 6), few, (3, 6, 10), strict=True))
     with pytest.raises(InputError, match="at least 1"):
         pick_frames(files, limit=0)
+
+
+def test_a_part_of_the_frames_has_of_all_kinds() -> None:
+    files = [Path(str(i)) for i in range(600)]  # kinds take turns in fours
+    kinds = np.bincount([int(str(file)) % 4 for file in pick_frames(files, limit=60)])
+    assert len(kinds) == 4
+    assert kinds.min() >= 8, "equal steps of 10 would give two kinds of 30"
 
 
 def test_shards_share_the_frames_evenly() -> None:

@@ -217,6 +217,12 @@ def test_targets_choose_the_frames(dataset: Path) -> None:
     (dataset / bop.TARGETS).write_text(json.dumps(targets[:1]))
     (only,) = find_frames([dataset])
     assert bop.frame_target(only) == tuple(targets[0][k] for k in ("scene_id", "im_id", "obj_id"))
+    elsewhere = {**targets[0], "scene_id": 77}
+    (dataset / bop.TARGETS).write_text(json.dumps([targets[0], elsewhere]))
+    assert find_frames([dataset]) == [only], "a scene that is not here is none to be found"
+    (dataset / bop.TARGETS).write_text(json.dumps([targets[0], {**targets[0], "obj_id": 77}]))
+    with pytest.raises(InputError, match=r"test_targets_bop19\.json names object 77 in image"):
+        find_frames([dataset])
 
 
 def test_a_data_set_of_others_without_a_hand(tmp_path: Path) -> None:

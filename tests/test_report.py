@@ -173,8 +173,27 @@ def test_shards_and_sessions_are_one_run(tmp_path: Path) -> None:
     study = load_study([folder])
     assert list(study.by_method) == ["inhand"]
     assert len(study.by_method["inhand"]) == 4
-    assert study.sources["inhand"] == {0, 1}
+    assert study.runs(["inhand"]) == {0, 1}
     assert [r.origins for r in study.records] == [({"machine": "1"},), ({"machine": "2"},)]
+
+
+def test_a_table_names_only_the_runs_of_its_data_set(tmp_path: Path) -> None:
+    folders = [
+        write(tmp_path / name, [pipeline(i, data_set=name) for i in range(3)])
+        for name in ("clean", "noisy")
+    ]
+    study = load_study(folders)
+    items = [item for s in make_report(study, "").sections for item in s.items]
+    runs = {item.name: item.runs for item in items}
+    assert runs["overview-clean"] == runs["hand-clean"] == {0}
+    assert runs["overview-noisy"] == runs["hand-noisy"] == {1}
+    assert runs["recall-curves"] == runs["time-table"] == {0, 1}
+
+
+def test_what_two_sessions_at_once_wrote_twice_counts_once(tmp_path: Path) -> None:
+    folder = write(tmp_path, [result(0), result(1)])
+    Ledger(folder / "results.jsonl", SETTINGS).append(result(1))
+    assert len(load_study([folder]).by_method["inhand"]) == 2
 
 
 def test_sessions_that_differ_are_all_told(tmp_path: Path) -> None:
@@ -290,7 +309,7 @@ def test_hand_and_time_tables(study: Study) -> None:
     assert cell(report.hand_table(pooled), "inhand", "joint angles [deg]") == "1.1 / 1.1"
     assert cell(report.hand_table(pooled), "inhand", "as given [mm]") == "4.0 / 4.0"
     assert cell(report.time_table(pooled), "inhand", "95 %") == "40.0"
-    assert cell(report.stage_time_table(pooled), "hypotheses", "inhand") == "20.0 ± 0.0"
+    assert cell(report.stage_time_table(pooled), "hypotheses", "inhand") == "20.0 / 20.0 / 20.0"
     assert cell(report.lost_table(pooled), "inhand", "selection") == "3"
     assert cell(report.alive_table(pooled), "inhand", "selection").startswith("100.0")
     assert cell(report.confidence_table(pooled), "inhand", "AUROC").startswith("100.0")

@@ -16,6 +16,7 @@ from inhand.camera import Camera
 from inhand.cli import main
 from inhand.datasets import bop
 from inhand.datasets.bop import BopImage, Instance, read_image, read_scene
+from inhand.datasets.bop_results import read_results
 from inhand.datasets.frames import find_frames, find_hand, find_objects, load_object, read_frame
 from inhand.errors import InputError
 from inhand.geometry.mesh import box
@@ -180,6 +181,18 @@ def test_hands_have_their_colours(dataset: Path) -> None:
         assert (image.rgb[image.segmentation == 0] == 0).all()
 
 
+def test_a_benchmark_runs_on_them(dataset: Path, tmp_path: Path) -> None:
+    command = ["bench", str(dataset), "--out", str(tmp_path), "--limit", "2", "--device", "cpu"]
+    assert main([*command, "--methods", "icp-from-truth+mask@0mm"]) == 0
+    answers = read_results(tmp_path / "bop" / "icpfromtruth+mask@0mm_tiny-test.csv")
+    assert len(answers) == 2
+    for answer in answers:
+        image = read_image(scene(dataset, answer.scene_id), answer.image_id)
+        (truth,) = [i for i in image.instances if i.object_id == answer.object_id]
+        away = inverse(truth.T_camera_object) @ answer.T_camera_object
+        assert np.linalg.norm(away[:3, 3]) < 0.005
+
+
 def test_other_processes_make_the_same_bytes(dataset: Path, camera: Path, tmp_path: Path) -> None:
     assert synth(tmp_path / "again", camera, "--workers", "2") == 0
     assert content(tmp_path / "again") == content(dataset)
@@ -265,6 +278,10 @@ def test_missing_ray_is_one_line(
         (["--visible", "0.5"], "visible"),
         (["--visible", "0.5", "0.2"], "visible"),
         (["--visible", "0", "1.5"], "visible"),
+        (["--clutter", "-1"], "clutter"),
+        (["--backdrop", "0.4", "0.1"], "backdrop"),
+        (["--wrist-translation", "-0.001"], "wrist"),
+        (["--wrist-rotation", "nan"], "wrist"),
         (["--hand", "missing.urdf"], "missing.urdf"),
         (["--camera", "missing.json"], "missing.json"),
         (["--workers", "0"], "workers"),

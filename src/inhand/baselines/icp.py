@@ -12,9 +12,11 @@ from inhand.stages.observation import Cloud
 from inhand.stages.point_to_plane import align_model
 from inhand.stages.results import PoseSet, Segment
 
-DISTANCES = (0.03, 0.01, 0.005)
-"""Correspondences farther than this are ignored, from the first round to the last [m]."""
-ROUND = RefinementConfig(method="icp", iterations=20, max_normal_angle=np.pi / 3)
+DISTANCES = (0.007, 0.005)
+"""Correspondences farther than this are ignored, from the first round to the last [m]. Farther ones
+widen the way in to the right pose where the cloud is the object alone, but pull a right pose away
+where remains of the hand lie beside it."""
+ROUND = RefinementConfig(method="icp", iterations=30, max_normal_angle=np.pi / 3)
 LCP_DISTANCE, LCP_ANGLE = 0.004, np.pi / 4
 """A point this near [m] to the model, with a normal this near [rad] to its, is explained."""
 
@@ -22,7 +24,7 @@ LCP_DISTANCE, LCP_ANGLE = 0.004, np.pi / 4
 def refine_by_icp(
     T_camera_object: NDArray[np.float64], cloud: Cloud, obj: PackedObject
 ) -> NDArray[np.float64]:
-    """Poses (m, 4, 4) after three rounds of ICP with ever nearer correspondences."""
+    """Poses (m, 4, 4) after rounds of ICP with ever nearer correspondences."""
     n = len(cloud.points)
     segment = Segment(
         cloud.points, cloud.normals, np.zeros(n, dtype=np.float32), np.ones(n, dtype=np.float32)

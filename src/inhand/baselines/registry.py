@@ -129,8 +129,9 @@ def _check_installed(library: Library, method: str) -> None:
         importlib.import_module(library.module)
     except (ImportError, OSError) as error:
         missing = isinstance(error, ModuleNotFoundError) and error.name == library.module
-        why = "is not installed" if missing else f"does not load here ({error})"
-        raise InputError(
-            f"the method {method} needs {library.module}, which {why}: "
-            f'pip install "inhand[{library.extra}]"'
-        ) from error
+        why = (
+            f'is not installed: pip install "inhand[{library.extra}]"'
+            if missing
+            else f"does not load here: {error}"
+        )
+        raise InputError(f"the method {method} needs {library.module}, which {why}") from error

@@ -46,8 +46,9 @@ class Bench:
 
     Prints recall, errors, times and the stage that loses each frame, or of several methods one line
     each; writes `results.jsonl` (one line a frame and method), `summary.json` and `worst.png` (the
-    worst frames of the first method) to the output folder. Ctrl-C keeps what is done; the same
-    command goes on from there, and more methods may be added to it.
+    worst frames of the first method) to the output folder, and the answers on BOP data sets as
+    BOP's CSV files to its folder `bop`. Ctrl-C keeps what is done; the same command goes on from
+    there, and more methods may be added to it.
     """
 
     frames: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -98,6 +99,7 @@ def run(args: Bench) -> int:
     from inhand.datasets.frames import find_frames
     from inhand.errors import InputError
     from inhand.evaluation.benchmark import key_of, missing, pick_frames
+    from inhand.evaluation.bop_export import write_bop_results
     from inhand.evaluation.contact_sheet import worst_frames
     from inhand.evaluation.machine import origin
     from inhand.evaluation.report import print_comparison, print_summary
@@ -135,6 +137,8 @@ def run(args: Bench) -> int:
     results = {m.label: ledger.found(key_of(file, m) for file in files) for m in methods}
     summaries = {label: summarise(of_method) for label, of_method in results.items()}
     _write_summary(out / shard.named("summary.json"), settings, summaries)
+    for label, of_method in results.items():
+        write_bop_results(out / shard.named("bop"), label, of_method)
     if len(methods) == 1:
         print_summary(summaries[methods[0].label], console)
     else:

@@ -72,6 +72,9 @@ HAND = "scene_hand.json"
 UNFINISHED = "unfinished"
 """Folder in a scene's that is still being written: the images' shares of the JSON files."""
 
+Target = tuple[int, int, int]
+"""Numbers of scene, image and object."""
+
 _DEPTH_SUFFIXES = (".png", ".tif", ".tiff")
 _COLOUR_FOLDERS = (("rgb", (".png", ".jpg", ".jpeg")), ("gray", (".png", ".jpg", ".tif")))
 
@@ -210,22 +213,34 @@ def find_scenes(folder: Path) -> list[Path]:
 def find_frames(folder: Path) -> list[Path]:
     """The frames of a BOP data set, of a split or of a scene: masks of the visible objects.
 
-    Where the folder is a data set's and holds targets, only the objects in them.
+    Where the folder is a data set's and holds targets, only the objects in them. Scenes that only
+    the targets speak of are left out: a data set need not be there as a whole.
 
     Raises:
-        InputError: a JSON file is broken.
+        InputError: a JSON file is broken, or the targets name an object that a scene lacks.
     """
     scenes, targets = find_scenes(folder), _read_targets(folder / TARGETS)
     if targets is not None:
         scenes = [scene for scene in scenes if scene.parent.name.startswith(SPLIT)]
-    frames = []
-    for scene in scenes:
-        for image_id, instances in sorted(read_scene(scene).truth.items()):
-            for i, instance in enumerate(instances):
-                target = (int(scene.name), image_id, int(instance["obj_id"]))
-                if targets is None or target in targets:
-                    frames.append(scene / "mask_visib" / f"{image_id:06d}_{i:06d}.png")
-    return frames
+    frames = [
+        ((int(scene.name), image_id, int(instance["obj_id"])), _frame_path(scene, image_id, i))
+        for scene in scenes
+        for image_id, instances in sorted(read_scene(scene).truth.items())
+        for i, instance in enumerate(instances)
+    ]
+    if targets is not None:
+        here = {int(scene.name) for scene in scenes}
+        lost = targets - {target for target, _ in frames}
+        for scene_id, image_id, object_id in sorted(t for t in lost if t[0] in here):
+            raise InputError(
+                f"{folder / TARGETS} names object {object_id} in image {image_id} of scene "
+                f"{scene_id}, which the scene's {TRUTH} lacks"
+            )
+    return [path for target, path in frames if targets is None or target in targets]
+
+
+def _frame_path(scene: Path, image_id: int, index: int) -> Path:
+    return scene / "mask_visib" / f"{image_id:06d}_{index:06d}.png"
 
 
 def is_frame(path: Path) -> bool:
@@ -291,7 +306,7 @@ def frame_ids(path: Path) -> tuple[int, int]:
     return int(parts[0]), int(parts[1])
 
 
-def frame_target(path: Path) -> tuple[int, int, int]:
+def frame_target(path: Path) -> Target:
     """Numbers of scene, image and object of the frame that a path names: BOP's test target.
 
     Raises:
@@ -460,7 +475,7 @@ def _read_pixels(path: Path, camera: Camera) -> NDArray[np.uint8]:
     return pixels
 
 
-def _read_targets(path: Path) -> set[tuple[int, int, int]] | None:
+def _read_targets(path: Path) -> set[Target] | None:
     """Scene, image and object of every target; None without a file of targets."""
     if not path.is_file():
         return None

@@ -244,6 +244,9 @@ def handicap_of(method: Method, perturbation: Perturbation | None) -> dict[str, 
 def pick_frames(files: Sequence[Path], *, every: int = 1, limit: int | None = None) -> list[Path]:
     """Every `every`-th frame, and at most `limit` of these, spread evenly over them.
 
+    One is drawn from each of `limit` equal parts, always the same: equal steps would skip some
+    kinds of frames in data sets where these take turns.
+
     Raises:
         InputError: a number is not positive.
     """
@@ -252,7 +255,8 @@ def pick_frames(files: Sequence[Path], *, every: int = 1, limit: int | None = No
     picked = list(files[::every])
     if limit is None or limit >= len(picked):
         return picked
-    return [picked[i * len(picked) // limit] for i in range(limit)]
+    edges = np.arange(limit + 1) * len(picked) // limit
+    return [picked[i] for i in np.random.default_rng(0).integers(edges[:-1], edges[1:])]
 
 
 def peak_memory() -> int | None:

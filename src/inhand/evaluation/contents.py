@@ -14,6 +14,8 @@ from inhand.evaluation.sweep_tables import sweep_table
 from inhand.evaluation.sweeps import by_level
 from inhand.evaluation.tables import Table
 
+EVERYWHERE = "all data sets"
+"""Stands before the title of a table that is not about a single one."""
 LISTED_FAILURES = 50
 """Frames that could not be read or that a method failed on, at most this many are named."""
 
@@ -185,7 +187,7 @@ class Contents:
                 "intervals. The level line is a method that does without."
             )
             svg = self._figures.perturbation_curves(of, level)
-            items.append(self._figure(f"perturbation-{name}", caption, svg, [*of, *level]))
+            items.append(self._figure(f"perturbation-{name}", caption, svg, [*of, *level], name))
             table = report.perturbation_table(of)
             items.append(self._table(f"perturbation-table-{name}", name, table, of))
         return Section("Perturbed starts", "", tuple(items))
@@ -215,12 +217,11 @@ class Contents:
         if not timed:
             return Section("Time", "", ())
         caption = "Mean time of every stage. Rest: what no stage accounts for."
-        everywhere = "all data sets"
-        staged = {m: s for m, s in timed.items() if any(map(s["time"].get, POSE_STAGES))}
+        staged = {m: s for m, s in timed.items() if _is_pipeline(s)}
         items = (
             self._figure("time", caption, figures.time_bars(timed), timed),
-            self._table("time-table", everywhere, report.time_table(timed), timed),
-            self._table("time-stages", everywhere, report.stage_time_table(staged), staged),
+            self._table("time-table", EVERYWHERE, report.time_table(timed), timed),
+            self._table("time-stages", EVERYWHERE, report.stage_time_table(staged), staged),
         )
         text = (
             "Wall clock of one estimate. The first frame of every object is run once more before "
@@ -235,7 +236,7 @@ class Contents:
             results = {m: self._study.results(name)[m] for m in summaries}
             svg = self._figures.error_curves(_hand_errors(results))
             caption = f"{name}: share of joints, and of frames, whose error is below a limit."
-            items.append(self._figure(f"hand-{name}", caption, svg, results))
+            items.append(self._figure(f"hand-{name}", caption, svg, results, name))
         items += self._per_set("hand-table", panels, report.hand_table)
         return Section("Hand", "", tuple(items))
 
@@ -247,9 +248,11 @@ class Contents:
             "Reliability: how often answers of a confidence are right (ADI < 5 mm), with 95 % "
             "intervals. On the grey line the confidence says just that."
         )
-        figure = self._figure(
-            "reliability", caption, self._figures.reliability_curves(sure), self._pooled
-        )
+        # What other methods give is a score, which promises nothing.
+        drawn = _where(sure, _is_pipeline) or sure
+        methods = {method for summaries in drawn.values() for method in summaries}
+        svg = self._figures.reliability_curves(drawn)
+        figure = self._figure("reliability", caption, svg, methods)
         items = self._per_set("confidence", sure, report.confidence_table)
         return Section("Confidence", "", (figure, *items))
 
@@ -287,7 +290,7 @@ class Contents:
             )
             columns = ("method", "frame", "outcome", "reason")
             table = Table("Bad frames", columns, tuple(failures[:LISTED_FAILURES]), note)
-            items.append(self._table("bad-frames", "all data sets", table, self._pooled))
+            items.append(self._table("bad-frames", EVERYWHERE, table, self._pooled))
         return Section("Frames", "", tuple(items))
 
     def _per_set(
@@ -306,13 +309,18 @@ class Contents:
         ]
 
     def _table(self, key: str, of: str, table: Table, methods: Iterable[str]) -> Item:
-        return Item(key, f"{of}: {table.title}", table, self._runs(methods))
+        name = None if of == EVERYWHERE else of
+        return Item(key, f"{of}: {table.title}", table, self._study.runs(methods, name))
 
-    def _figure(self, key: str, caption: str, svg: str, methods: Iterable[str]) -> Item:
-        return Item(key, caption, svg, self._runs(methods))
+    def _figure(
+        self, key: str, caption: str, svg: str, methods: Iterable[str], of: str | None = None
+    ) -> Item:
+        return Item(key, caption, svg, self._study.runs(methods, of))
 
-    def _runs(self, methods: Iterable[str]) -> frozenset[int]:
-        return frozenset[int]().union(*(self._study.sources[m] for m in methods))
+
+def _is_pipeline(summary: Summary) -> bool:
+    """Whether the method is a variant of this project's pipeline, by the stages it timed."""
+    return any(map(summary["time"].get, POSE_STAGES))
 
 
 def _where(panels: Panels, holds: Callable[[Summary], object]) -> Panels:

@@ -8,7 +8,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import LogFormatter, PercentFormatter
 
 from inhand.evaluation.diagnosis import SOLVED
 from inhand.evaluation.statistics import ReliabilityBin
@@ -40,6 +40,7 @@ _STYLE: Any = {
     "svg.hashsalt": "inhand",  # the same figure, the same file
 }
 _PANEL = (3.9, 3.0)
+_MOST_COLUMNS = 3
 _LEGEND = 1.6
 _SHARE = PercentFormatter(1.0, decimals=0)
 
@@ -147,6 +148,7 @@ class Figures:
                         self._with_intervals(axes, [1000 * median], [share], method)
                 axes.set(xscale="log")
                 axes.xaxis.set_major_formatter("{x:g}")
+                axes.xaxis.set_minor_formatter(LogFormatter())
             return sheet.svg()
 
     def reliability_curves(self, panels: Mapping[str, Mapping[str, Summary]]) -> str:
@@ -238,8 +240,8 @@ class _Sheet:
         self._style.__enter__()
         width, height = self._size
         count = len(self._panels)
-        columns = min(count, 3)
-        rows = -(-count // columns)
+        rows = -(-count // _MOST_COLUMNS)
+        columns = -(-count // rows)
         size = (columns * width + _LEGEND, rows * height)
         self._figure = Figure(figsize=size, layout="constrained")
         self._axes = self._figure.subplots(rows, columns, squeeze=False).ravel()

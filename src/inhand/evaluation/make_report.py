@@ -13,7 +13,7 @@ from inhand.evaluation.machine import origin
 from inhand.evaluation.page import Pictures, Report
 from inhand.evaluation.results import FrameResult, Record
 from inhand.evaluation.study import Study
-from inhand.evaluation.summary import data_set, is_solved
+from inhand.evaluation.summary import is_solved
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 
@@ -82,7 +82,7 @@ def _gallery(study: Study, method: str, count: int, remarks: list[str]) -> list[
             "solved with the least of the object visible": hardest_solved(results, count),
             "failures": [r for r in worst_frames(results, count) if not is_solved(r)],
         }
-        runs = _runs_with(study, method, name)
+        runs = study.runs([method], name)
         try:
             sheet = _contact_sheet(study.records[min(runs)]) if runs else None
         except (InputError, KeyError) as error:
@@ -94,15 +94,6 @@ def _gallery(study: Study, method: str, count: int, remarks: list[str]) -> list[
                 title = f"{name}, {method}: {kind}"
                 groups.append(Pictures(title, _CAPTION, tuple(pngs), runs))
     return groups
-
-
-def _runs_with(study: Study, method: str, name: str) -> frozenset[int]:
-    """The records that hold results of the method on the data set."""
-    return frozenset(
-        i
-        for i in study.sources[method]
-        if any(data_set(r) == name for r in study.records[i].results)
-    )
 
 
 def _contact_sheet(record: Record) -> ContactSheet:

@@ -53,8 +53,11 @@ def print_summary(summary: Summary, console: Console) -> None:
 
 
 def print_comparison(summaries: Summaries, console: Console) -> None:
-    """Print one line for each method."""
+    """Print one line for each method, and which had frames that went wrong."""
     console.print(tables.terminal(overview_table(summaries)))
+    for method, summary in summaries.items():
+        if summary["frames"]["error"] or summary["frames"]["unreadable"]:
+            console.print(f"[red]{method}[/red]: {_outcomes(summary)}", highlight=False)
 
 
 def method_tables(summary: Summary) -> list[Table]:
@@ -273,12 +276,12 @@ def stage_time_table(summaries: Summaries) -> Table:
     def cell(spread: Mapping[str, Any]) -> str:
         if not spread.get("count"):
             return NOTHING
-        return " ± ".join(_number(spread[k], 1000, 1) for k in ("mean", "deviation"))
+        return " / ".join(_number(spread[k], 1000, 1) for k in ("median", "p95", "p99"))
 
     rows = tuple(
         (stage, *(cell(s["time"].get(stage, {})) for s in summaries.values())) for stage in stages
     )
-    note = "Mean ± standard deviation in ms."
+    note = "Median / 95 % / 99 % quantile in ms."
     return Table("Time by stage", ("stage", *summaries), rows, note)
 
 
@@ -287,10 +290,11 @@ def hand_table(summaries: Summaries) -> Table:
 
     def column(head: str, scale: float, *keys: str) -> _Column:
         find = _at(*keys)
+        given = "given" in keys  # the data set's doing, not the method's
         return _Column(
             head,
             lambda s: " / ".join(_number(find(s)[k], scale, 1) for k in ("median", "p95")),
-            lambda s: None if find(s)["median"] is None else -find(s)["median"],
+            lambda s: None if given or find(s)["median"] is None else -find(s)["median"],
         )
 
     columns = [

@@ -139,13 +139,15 @@ def read_results(path: Path) -> Record:
         settings = json.loads(lines[0])["settings"]
         entries = [json.loads(line) for line in lines[1:]]
         origins = tuple(entry["origin"] for entry in entries if "origin" in entry)
-        results = tuple(FrameResult(**entry) for entry in entries if "origin" not in entry)
+        found = [FrameResult(**entry) for entry in entries if "origin" not in entry]
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(
             f"{path} is not a results file of this version ({error}): restart, or choose another "
             "output folder"
         ) from error
-    return Record(path, settings, origins, results)
+    # A run that was started twice at once wrote some results twice.
+    results = {result.key: result for result in found}
+    return Record(path, settings, origins, tuple(results.values()))
 
 
 def _complete(text: str) -> str:

@@ -30,8 +30,8 @@ class Study:
     """Results of methods that were handicapped."""
     swept: Results
     """Results on frames that a sweep made harder."""
-    sources: Mapping[str, frozenset[int]]
-    """Which of the records the results of each method, handicapped or not, come from."""
+    sources: Mapping[tuple[str, str], frozenset[int]]
+    """Which of the records the results come from, by method, handicapped or not, and data set."""
 
     @property
     def data_sets(self) -> list[str]:
@@ -56,6 +56,16 @@ class Study:
     def swept_results(self, name: str) -> Results:
         """Results on frames of one data set that a sweep made harder."""
         return _on(name, self.swept)
+
+    def runs(self, methods: Iterable[str], name: str | None = None) -> frozenset[int]:
+        """Which of the records the methods' results on one data set, or on all, come from."""
+        wanted = set(methods)
+        found = [
+            runs
+            for (method, of), runs in self.sources.items()
+            if method in wanted and name in (None, of)
+        ]
+        return frozenset[int]().union(*found)
 
     def remarks(self) -> list[str]:
         """What a reader must know before comparing the methods: not all ran on the same frames."""
@@ -94,7 +104,7 @@ def load_study(paths: Sequence[Path]) -> Study:
     plain: dict[str, list[FrameResult]] = {}
     perturbed: dict[str, list[FrameResult]] = {}
     swept: dict[str, list[FrameResult]] = {}
-    sources: dict[str, set[int]] = {}
+    sources: dict[tuple[str, str], set[int]] = {}
     first_seen: dict[tuple[object, ...], Path] = {}
     for index, record in enumerate(records):
         for result in record.results:
@@ -112,7 +122,7 @@ def load_study(paths: Sequence[Path]) -> Study:
             if result.perturbation:
                 kind = swept if perturbation_of(result) else perturbed
             kind.setdefault(label, []).append(result)
-            sources.setdefault(label, set()).add(index)
+            sources.setdefault((label, data_set(result)), set()).add(index)
     if not first_seen:
         raise InputError(f"there is no result in {', '.join(str(r.path) for r in records)}")
     runs = {label: frozenset(indices) for label, indices in sources.items()}

@@ -82,6 +82,8 @@ class Plan:
 
     def __post_init__(self) -> None:
         low, high = self.protocol.distance
+        nearest, farthest = self.protocol.backdrop or (0.0, 0.0)
+        wrist = (self.protocol.wrist_translation, self.protocol.wrist_rotation)
         edges = np.array(self.visible)
         names = self.object_names
         checks = {
@@ -95,6 +97,13 @@ class Plan:
             and bool((np.diff(edges) > 0).all() and edges[0] >= 0 and edges[-1] <= 1),
             f"clutter must not be negative, got {self.protocol.clutter}": self.protocol.clutter
             >= 0,
+            f"backdrop must be two distances in order from 0 m on, got {nearest} and {farthest}": 0
+            <= nearest
+            <= farthest
+            < np.inf,
+            f"the wrist's errors must not be negative, got {wrist}": all(
+                0 <= sd < np.inf for sd in wrist
+            ),
         }
         for problem, fine in checks.items():
             if not fine:
