@@ -7,7 +7,7 @@ from inhand.kernels.fields import Fields, field_at
 
 wp.set_module_options({"enable_backward": False})
 
-AHEAD = wp.constant(2.0e-3)
+AHEAD = wp.constant(1.0e-3)
 """A ray has met a surface that is so near ahead [m]."""
 MOST_STEPS = wp.constant(200)
 """A ray that has met nothing by then never does."""
