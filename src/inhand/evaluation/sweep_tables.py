@@ -8,7 +8,7 @@ from inhand.evaluation.report import NOTHING, percent
 from inhand.evaluation.results import FrameResult
 from inhand.evaluation.statistics import auroc
 from inhand.evaluation.summary import data_set, is_solved, solved_share
-from inhand.evaluation.sweeps import SWEEPS, by_level
+from inhand.evaluation.sweeps import SWEEPS, as_they_are, by_level
 from inhand.evaluation.tables import Table
 
 SURE = 0.5
@@ -49,10 +49,10 @@ def sweep_table(of: str, sweep: str, results: Sequence[FrameResult]) -> Table:
         sweep: the sweep.
         results: results of frames as they are and at all levels; other sweeps are left out.
     """
-    kind = SWEEPS[sweep]
-    plain = [r for r in results if not r.perturbation]
-    levels = {kind.words(level): of_level for level, of_level in by_level(results)[sweep].items()}
-    rows = [(name, *_cells(group)) for name, group in ({AS_IT_IS: plain} | levels).items() if group]
+    kind, levels = SWEEPS[sweep], by_level(results)[sweep]
+    groups = {AS_IT_IS: as_they_are(levels, results)}
+    groups |= {kind.words(level): of_level for level, of_level in levels.items()}
+    rows = [(name, *_cells(group)) for name, group in groups.items() if group]
     columns = (kind.title, "frames", *_COLUMNS)
     return Table(f"{of}: {sweep}", columns, tuple(rows), _NOTE)
 

@@ -195,14 +195,21 @@ def by_level(results: Sequence[FrameResult]) -> dict[str, dict[float, list[Frame
     }
 
 
+def as_they_are(
+    levels: Mapping[float, Sequence[FrameResult]], results: Sequence[FrameResult]
+) -> list[FrameResult]:
+    """The results on the same frames as those by level, but with nothing done to them."""
+    frames = {r.frame for of_level in levels.values() for r in of_level}
+    return [r for r in results if not r.perturbation and r.frame in frames]
+
+
 def curve(sweep: str, results: Sequence[FrameResult]) -> dict[float, list[FrameResult]]:
     """One sweep's results by level, the levels rising; frames as they are where they belong.
 
     Empty when there is no result of the sweep.
     """
     levels = by_level(results).get(sweep, {})
-    plain = [r for r in results if not r.perturbation]
-    none = SWEEPS[sweep].none
-    if levels and plain and none is not None:
+    plain, none = as_they_are(levels, results), SWEEPS[sweep].none
+    if plain and none is not None:
         levels = {none: plain, **levels}
     return dict(sorted(levels.items()))
