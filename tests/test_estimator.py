@@ -280,7 +280,7 @@ def one_finger_without_a_palm(folder: Path) -> Hand:
 
 BUILDS: list[tuple[Callable[[Path], Hand], list[float]]] = [
     (parallel_gripper, [0.03]),
-    (three_finger_hand, [0.4, 0.5, 0.3, 0.6, 0.5]),
+    (three_finger_hand, [-0.2, 0.5, -0.2, 0.6, -0.2]),
     (one_finger_without_a_palm, [0.3]),
 ]
 CAMERA = Camera(300, 300, 159.5, 119.5, width=320, height=240)

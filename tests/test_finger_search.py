@@ -21,7 +21,7 @@ def search_of(observation: Observation, config: HandStateConfig = CONFIG) -> Fin
 def best(search: FingerSearch, T_camera_hand: np.ndarray) -> np.ndarray:
     """The joint vector of every finger's best configuration."""
     q = np.zeros(4)
-    found = search.alternatives(T_camera_hand, np.random.default_rng(0))
+    found, _ = search.alternatives(T_camera_hand, np.random.default_rng(0))
     for finger, configurations in zip(built_in_hand().hand.fingers, found, strict=True):
         q[list(finger.joints)] = configurations[0]
     return q
@@ -60,10 +60,14 @@ def test_alternatives_are_few_and_possible_and_repeatable() -> None:
     scene = held_object("cuboid")
     hand, T = scene.hand.hand, scene.hand_state.T_camera_hand
     search = search_of(scene.observation, replace(CONFIG, alternatives=3))
-    found, again = (search.alternatives(T, np.random.default_rng(1)) for _ in range(2))
-    assert len(found) == len(hand.fingers)
-    for finger, configurations, same in zip(hand.fingers, found, again, strict=True):
+    (found, allowed), (again, _) = (
+        search.alternatives(T, np.random.default_rng(1)) for _ in range(2)
+    )
+    assert len(found) == len(hand.fingers) == len(allowed)
+    for finger, configurations, same, more in zip(hand.fingers, found, again, allowed, strict=True):
         joints = list(finger.joints)
+        assert more.joints.shape == (CONFIG.allowed, len(joints))
+        assert (np.diff(more.score) <= 0).all()
         assert 1 <= len(configurations) <= 3
         assert configurations.shape[1] == len(joints)
         assert (configurations >= hand.lower[joints]).all()

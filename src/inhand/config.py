@@ -145,6 +145,8 @@ class HandStateConfig(Section):
     """Penalty of a surface point in the middle of an area without readings."""
     hidden: NonNegative = 0.05
     """Penalty of a surface point behind something else."""
+    allowed: int = 256
+    """Configurations per finger that are kept for placing a hidden finger against the object."""
     local_samples: int = 32
     """Configurations tried around every alternative before the joint refinement."""
     local_spread: NonNegative = 0.07
@@ -410,6 +412,14 @@ class SelectionConfig(Section):
     """`likelihood`: model points held against the hand."""
     segment_points: int = 800
     """`likelihood`: segment points used."""
+    grasps: int = 4
+    """`likelihood`: poses that hidden fingers are placed against."""
+    finger_points: int = 50
+    """`likelihood`: surface samples of a finger link that are held against the object for it."""
+    finger_visibility: NonNegative = 0.5
+    """`likelihood`: weight of a configuration's visibility score in it."""
+    finger_elsewhere: NonNegative = 0.2
+    """`likelihood`: what it costs at least to place a finger elsewhere than the image does."""
     merge_distance: NonNegative = 0.001
     """Poses whose surfaces are nearer on average are one [m]."""
     rival_distance: float = 0.004

@@ -174,7 +174,7 @@ class PoseEstimator:
             found=True,
             reason="",
             T_camera_object=candidates[0].T_camera_object,
-            joint_positions=self.hand.hand.joint_dict(state.joint_vector),
+            joint_positions=self.hand.hand.joint_dict(selection.joint_vector),
             T_camera_hand=state.T_camera_hand,
             confidence=selection.confidence,
             candidates=candidates,

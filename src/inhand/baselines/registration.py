@@ -89,13 +89,16 @@ class _Prepared(PreparedMethod):
         if self._method.icp:
             refined = watch.time("icp", refine_by_icp, poses, cloud, self._obj)
             fine = rank(refined, cloud, self._obj)
+        state = results.hand_state
         return replace(
             results,
             hypotheses=coarse,
             clustered=coarse,
             refined=fine,
             pruned=fine,
-            selection=Selection(fine, float(fine.score[0])),
+            selection=Selection(
+                fine, float(fine.score[0]), state.joint_vector if state else np.zeros(0)
+            ),
         )
 
     def _estimate(self, results: StageResults, reason: str, watch: Stopwatch) -> PoseEstimate:

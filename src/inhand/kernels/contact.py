@@ -1,4 +1,4 @@
-"""How near an object comes to the links of the hand, for many object poses."""
+"""How near object and hand come to each other, for many poses of either."""
 
 import warp as wp
 
@@ -45,4 +45,41 @@ def link_clearances(
         bound = s[3] + wp.max(nearest, 0.0)
         if wp.dot(offset, offset) < bound * bound:
             nearest = wp.min(nearest, field_at(fields, link, local)[0])
+    clearance[i] = nearest
+
+
+@wp.kernel
+def configuration_clearances(
+    T_camera_object: wp.array(dtype=wp.mat44),
+    fields: Fields,
+    T_camera_link: wp.array(dtype=wp.mat44),
+    n_links: int,
+    n_configurations: int,
+    points: wp.array(dtype=wp.vec3),
+    link: wp.array(dtype=int),
+    n_points: int,
+    farthest: float,
+    clearance: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a pair of object pose and finger configuration: smallest signed distance of the
+    finger's surface to the object [m].
+
+    Args (beyond the obvious):
+        fields: the object's distance field.
+        T_camera_link: link poses of all configurations, flat (c * n_links).
+        points, link: surface samples of the finger and the link each is on; the first `n_points`
+            are used.
+        farthest: larger distances are cut off here [m].
+        clearance: out, flat (pose, configuration).
+    """
+    i = first + wp.tid()
+    T = T_camera_object[i // n_configurations]
+    inverse = wp.transpose(T)
+    origin = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+    links = (i % n_configurations) * n_links
+    nearest = farthest
+    for k in range(n_points):
+        p = wp.transform_point(T_camera_link[links + link[k]], points[k])
+        nearest = wp.min(nearest, field_at(fields, 0, wp.transform_vector(inverse, p - origin))[0])
     clearance[i] = nearest

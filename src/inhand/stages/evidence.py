@@ -139,12 +139,24 @@ def contact_penalty(
     depth = -clearance[:, certain].min(axis=1, initial=0.0)
     gaps = np.stack([clearance[:, f.links].min(axis=1) for f in hand.hand.fingers], axis=1)
     penalty = np.maximum(
-        (depth - c.free_penetration) / c.penetration_scale,
-        (gaps.min(axis=1) - free_gap) / c.gap_scale,
+        penetration_cost(depth, c),
+        np.clip((gaps.min(axis=1) - free_gap) / c.gap_scale, 0, c.max_contact_penalty),
     )
-    apart = np.clip((gaps - c.free_finger_gap) / c.finger_gap_scale, 0, 1).mean(axis=1)
-    penalty = np.clip(penalty, 0, c.max_contact_penalty) + c.finger_apart * apart
-    return np.asarray(penalty, dtype=np.float32)
+    return np.asarray(penalty + gap_cost(gaps, c).mean(axis=1), dtype=np.float32)
+
+
+def penetration_cost(
+    depth: NDArray[np.float32], config: EvidenceConfig
+) -> NDArray[np.floating[Any]]:
+    """Penalty of penetrations [m]."""
+    beyond = (depth - config.free_penetration) / config.penetration_scale
+    return np.asarray(np.clip(beyond, 0, config.max_contact_penalty))
+
+
+def gap_cost(gap: NDArray[np.float32], config: EvidenceConfig) -> NDArray[np.floating[Any]]:
+    """Penalty of gaps [m] between the object and a finger, if all fingers had that gap."""
+    beyond = (gap - config.free_finger_gap) / config.finger_gap_scale
+    return np.asarray(config.finger_apart * np.clip(beyond, 0, 1))
 
 
 def clearances(

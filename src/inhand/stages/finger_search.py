@@ -12,6 +12,7 @@ from inhand.kinematics import PRISMATIC
 from inhand.packed import PackedHand, PackedPart
 from inhand.stages.hand_visibility import HandVisibility
 from inhand.stages.observation import Observation
+from inhand.stages.results import Configurations
 
 Array = NDArray[np.float64]
 
@@ -36,8 +37,11 @@ class FingerSearch:
         self.camera = observation.camera.subsampled(config.render_step)
         self.visibility = HandVisibility(observation, hand, config)
 
-    def alternatives(self, T_camera_hand: Array, rng: np.random.Generator) -> list[Array]:
-        """The best distinct configurations of every finger, best first, (k, finger's joints) each.
+    def alternatives(
+        self, T_camera_hand: Array, rng: np.random.Generator
+    ) -> tuple[list[Array], tuple[Configurations, ...]]:
+        """The best distinct configurations of every finger, best first, (a, finger's joints) each,
+        and many more that the image allows.
 
         All fingers are searched alone first; then in the order of their scores, each beside those
         before it, among its better configurations.
@@ -50,15 +54,18 @@ class FingerSearch:
             for finger, tried in zip(fingers, found, strict=True)
         ]
         order = np.argsort([-score.max() for score in scores])
+        allowed: dict[int, Configurations] = {}
         for rank, i in enumerate(order):
             tried, score = found[i], scores[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
                 tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
                 score = self._coarse_score(fingers[i], tried, T_camera_hand, there)
+            best = np.argsort(-score, kind="stable")[: self.config.allowed]
+            allowed[i] = Configurations(tried[best], score[best])
             found[i] = self._look_around(fingers[i], tried, score, T_camera_hand, there, rng)
             q[fingers[i].joints] = found[i][0]
-        return found
+        return found, tuple(allowed[i] for i in range(len(fingers)))
 
     def best_combination(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
         """Every finger's best joints (n,) among refined starts, and the wrist of the best start.

@@ -43,7 +43,8 @@ def estimate_hand_state(
         point_information=config.point_information,
         joint_damping=config.joint_damping,
     )
-    starts = _starts(search.alternatives(wrist.T_camera_hand, rng), hand)
+    alternatives, allowed = search.alternatives(wrist.T_camera_hand, rng)
+    starts = _starts(alternatives, hand)
     wrists = np.repeat(wrist.T_camera_hand[None], len(starts), 0)
     widths = np.geomspace(config.first_width, config.middle_width, config.iterations)
     q, T = search.best_combination(*fit.refine(starts, wrists, widths, config.start_stride))
@@ -55,7 +56,7 @@ def estimate_hand_state(
             "hand, or sees something else there; check the wrist pose and the hand model"
         )
     certain = (search.link_support(q[0], T[0]) > config.certain_support) | hand.is_palm
-    return HandState(q[0], T[0], hand.link_poses(q, T)[0], certain)
+    return HandState(q[0], T[0], hand.link_poses(q, T)[0], certain, allowed)
 
 
 def _starts(alternatives: list[Array], hand: PackedHand) -> Array:

@@ -15,6 +15,16 @@ class Wrist:
 
 
 @dataclass(frozen=True)
+class Configurations:
+    """Configurations of a finger that the image allows."""
+
+    joints: NDArray[np.float64]
+    """Positions of the finger's joints [rad, m], best first, shape (c, k)."""
+    score: NDArray[np.float64]
+    """Visibility score of each, shape (c,)."""
+
+
+@dataclass(frozen=True)
 class HandState:
     """The estimated hand."""
 
@@ -26,6 +36,8 @@ class HandState:
     """Poses of the links that have geometry, shape (L, 4, 4)."""
     certain: NDArray[np.bool_]
     """Whether the image supports each link where it is, shape (L,); palm links always count."""
+    allowed: tuple[Configurations, ...] = ()
+    """What else the image allows, finger by finger; empty if no other configurations were tried."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,8 @@ class Selection:
     """Ranked poses."""
     confidence: float
     """Probability that the first pose is right, 0..1."""
+    joint_vector: NDArray[np.float64]
+    """The hand's joints, with hidden fingers placed against the first pose [rad], shape (n,)."""
 
     @property
     def T_camera_object(self) -> NDArray[np.float32]:

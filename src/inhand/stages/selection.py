@@ -8,6 +8,7 @@ from inhand.config import SelectionConfig
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import distinct_poses, surface_distances_to
 from inhand.stages.evidence import Evidence, score_with_contact
+from inhand.stages.hidden_fingers import place_hidden_fingers
 from inhand.stages.observation import Observation
 from inhand.stages.render_selection import select_by_rendering
 from inhand.stages.results import HandState, PoseSet, Segment, Selection
@@ -26,11 +27,12 @@ def select(
     """Rank the poses.
 
     The paper keeps the best third by rendering discrepancy, then takes the highest LCP. By default
-    one score weighs hits, free-space violations, occlusion and missing readings.
+    one score weighs hits, free-space violations, occlusion, missing readings and contact; hidden
+    fingers are placed against the best few poses before the last word.
     """
     if config.method == "render":
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
-        return Selection(ranked, _confidence(ranked, obj, config))
+        return Selection(ranked, _confidence(ranked, obj, config), hand_state.joint_vector)
     scores = score_with_contact(
         evidence,
         obj,
@@ -43,8 +45,10 @@ def select(
     ranked = distinct_poses(
         PoseSet(poses.T_camera_object, scores), obj, config.merge_distance, len(poses)
     )
+    ranked, joint_vector = place_hidden_fingers(ranked, evidence, obj, config)
     confidence = _confidence(ranked, obj, config)
-    return Selection(ranked.take(np.arange(min(config.candidates, len(ranked)))), confidence)
+    candidates = ranked.take(np.arange(min(config.candidates, len(ranked))))
+    return Selection(candidates, confidence, joint_vector)
 
 
 def _confidence(ranked: PoseSet, obj: PackedObject, config: SelectionConfig) -> float:
@@ -60,6 +64,6 @@ def _confidence(ranked: PoseSet, obj: PackedObject, config: SelectionConfig) -> 
     logit = (
         config.confidence_bias
         + config.confidence_fit * float(ranked.score[0])
-        + config.confidence_lead * math.sqrt(min(lead, config.max_lead))
+        + config.confidence_lead * math.sqrt(min(max(lead, 0.0), config.max_lead))
     )
     return 1 / (1 + math.exp(-max(min(logit, 50.0), -50.0)))
