@@ -203,8 +203,8 @@ def test_sessions_that_differ_are_all_told(tmp_path: Path) -> None:
 
 def test_of_a_session_only_what_is_new_is_told(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
-    for i, command in enumerate(("one", "two")):
-        Ledger(path, {}, {"command": command, "machine": "a"}).append(result(i))
+    for i, words in enumerate(("one", "two")):
+        Ledger(path, {}, {"command": words, "machine": "a"}).append(result(i))
     told = describe_run(read_results(path))[1:]
     assert told == [("command", "one"), ("machine", "a"), ("command", "two")]
 
