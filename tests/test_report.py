@@ -18,7 +18,7 @@ from inhand.evaluation import figures, report, tables
 from inhand.evaluation.contact_sheet import hardest_solved
 from inhand.evaluation.machine import origin
 from inhand.evaluation.make_report import make_report
-from inhand.evaluation.page import write_report
+from inhand.evaluation.page import describe_run, write_report
 from inhand.evaluation.results import FrameResult, Ledger, read_results
 from inhand.evaluation.study import Study, by_quantity, load_study
 from inhand.evaluation.summary import summarise
@@ -204,6 +204,14 @@ def test_sessions_that_differ_are_all_told(tmp_path: Path) -> None:
     record = read_results(path)
     assert record.origins == ({"machine": "a"}, {"machine": "b"})
     assert [r.frame for r in record.results] == ["clean/000", "clean/001", "clean/002"]
+
+
+def test_of_a_session_only_what_is_new_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl"
+    for i, words in enumerate(("one", "two")):
+        Ledger(path, {}, {"command": words, "machine": "a"}).append(result(i))
+    told = describe_run(read_results(path))[1:]
+    assert told == [("command", "one"), ("machine", "a"), ("command", "two")]
 
 
 def test_a_method_with_other_settings_is_another_method(tmp_path: Path) -> None:

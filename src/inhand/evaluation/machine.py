@@ -12,7 +12,10 @@ import warp as wp
 
 import inhand
 
-_LIBRARIES = ("numpy", "scipy", "warp-lang", "open3d", "opencv-contrib-python-headless")
+_LIBRARIES = (
+    *("numpy", "scipy", "warp-lang"),
+    *("open3d", "opencv-contrib-python-headless", "kiss_matcher"),
+)
 
 
 def origin(device: str) -> dict[str, str]:

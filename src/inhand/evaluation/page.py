@@ -197,10 +197,12 @@ def _as_code(name: str, value: str) -> str:
 
 
 def describe_run(record: Record) -> list[tuple[str, str]]:
-    """What made the results of a record: names and words."""
+    """What made the results of a record: names and words; of a session, what is new in it."""
     rows = [("results", f"{len(record.results)} in {_short(str(record.path))}")]
+    told: Mapping[str, str] = {}
     for origin in record.origins or ({"command": "not recorded"},):
-        rows += list(origin.items())
+        rows += [(name, words) for name, words in origin.items() if told.get(name) != words]
+        told = origin
     rows += [(name, _short(value)) for name, value in record.settings.items()]
     return rows
 
