@@ -178,7 +178,7 @@ def test_links_without_support_do_not_hide_the_object() -> None:
 def test_every_segment_point_is_part_of_the_evidence() -> None:
     scene = held_object("cuboid")
     evidence = evidence_of(scene)
-    assert evidence.segment_size == len(scene.segment.points)
+    assert len(evidence.segment_weights) == len(scene.segment.points)
     given = np.column_stack([scene.segment.points, scene.segment.normals, scene.segment.weight])
     e = evidence.arrays
     found = np.column_stack([e.points.numpy(), e.normals.numpy(), e.weights.numpy()])

@@ -98,7 +98,7 @@ def evidence_of(
     e.weights = wp.array(weights, dtype=float)
     e.near, e.share_weight = 0.004, share_weight
     config = EvidenceConfig(violation=VIOLATION, missing=MISSING, hidden=HIDDEN)
-    return Evidence(e, len(points), built_in_hand(), nowhere(), config)
+    return Evidence(e, weights.astype(np.float32), built_in_hand(), nowhere(), config)
 
 
 def nowhere() -> HandState:
@@ -202,6 +202,19 @@ def test_fewer_samples_score_about_the_same() -> None:
     assert np.corrcoef(fine, coarse)[0, 1] > 0.9
     too_many = scored(evidence, scene.obj, T, model_points=10**6, segment_points=10**6)
     np.testing.assert_allclose(too_many, fine, atol=1e-5)
+
+
+def test_what_scores_enough_is_scored_in_full_and_the_rest_is_left_below() -> None:
+    scene = held_object("industrial_part")
+    evidence = gather_evidence(
+        scene.observation, scene.hand_state, scene.segment, scene.hand, EvidenceConfig()
+    )
+    T = scene.T_camera_object @ exp(np.random.default_rng(0).normal(0, 0.006, (200, 6)))
+    full = scored(evidence, scene.obj, T)
+    for worth in np.quantile(full, (0.1, 0.5, 0.9)):
+        found = scored(evidence, scene.obj, T, worth=worth)
+        np.testing.assert_array_equal(found >= worth, full >= worth)
+        np.testing.assert_array_equal(found[full >= worth], full[full >= worth])
 
 
 # Refinement

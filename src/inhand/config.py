@@ -275,6 +275,8 @@ class HypothesesConfig(Section):
     """`pairs`: model points held against the hand in it."""
     segment_points: int = 24
     """`pairs`: segment points in it."""
+    keep: int = 500
+    """`pairs`: poses passed on at most, the best by this scoring."""
     heuristic_decay: float = 300.0
     """lambda of pi(p) ~ 1 - exp(-lambda SDF) [1/m]."""
     heuristic: bool = True
@@ -318,8 +320,6 @@ class ClusteringConfig(Section):
 
     method: Literal["distinct", "se3"] = "distinct"
     """`se3`: the paper's, Euclidean then geodesic; `distinct`: greedy by score."""
-    shortlist: int = 500
-    """`distinct`: hypotheses scored again."""
     tolerance: float = 0.006
     """`distinct`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 200

@@ -24,14 +24,18 @@ class Evidence:
 
     arrays: Any = field(repr=False)
     """`kernels.object_fit.ObjectEvidence`."""
-    segment_size: int
-    """Number of segment points."""
+    segment_weights: NDArray[np.float32]
+    """Weights of the segment points in the order of `arrays`, shape (n,)."""
     hand: PackedHand = field(repr=False)
     """The hand."""
     hand_state: HandState
     """Where it is."""
     config: EvidenceConfig
     """Parameters."""
+
+    def stride(self, points: int) -> int:
+        """Every so-many-th segment point makes up about `points`."""
+        return max(1, len(self.segment_weights) // points)
 
 
 def gather_evidence(
@@ -57,11 +61,12 @@ def gather_evidence(
     e.hand_step = config.hand_step
     # A fixed shuffle makes every strided subset an even sample of the segment.
     order = np.random.default_rng(0).permutation(len(segment.points))
+    weights = segment.weight[order]
     e.points = wp.array(segment.points[order], dtype=wp.vec3, device=device)
     e.normals = wp.array(segment.normals[order], dtype=wp.vec3, device=device)
-    e.weights = wp.array(segment.weight[order], dtype=float, device=device)
+    e.weights = wp.array(weights, dtype=float, device=device)
     e.near, e.share_weight = config.near, config.share_weight
-    return Evidence(e, len(segment.points), hand, hand_state, config)
+    return Evidence(e, weights, hand, hand_state, config)
 
 
 def score(
@@ -72,6 +77,7 @@ def score(
     model_points: int,
     segment_points: int,
     tolerance: float,
+    worth: float = -np.inf,
 ) -> NDArray[np.float32]:
     """Scores, shape (m,), of poses.
 
@@ -81,21 +87,23 @@ def score(
         T_camera_object: poses on the device, `wp.array` of `wp.mat44`.
         model_points, segment_points: how many of each are used; more is finer and slower.
         tolerance: depth agreement of a model point with its pixel [m].
+        worth: poses that score less get some score below this.
     """
     device, count = obj.device, len(T_camera_object)
     out = wp.empty(count, dtype=float, device=device)
     rule, config = Visibility(), evidence.config
     rule.tolerance, rule.violation = tolerance, config.violation
     rule.missing, rule.hidden = config.missing, config.hidden
-    stride = max(1, evidence.segment_size // segment_points)
+    stride = evidence.stride(segment_points)
+    weights = evidence.segment_weights[::stride]
     n = min(model_points, len(obj.points))
     launch(
         score_poses,
         count,
         [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
-        + [stride, out],
+        + [stride, float(weights.sum()) + 1e-6, worth, out],
         device,
-        work_per_item=n + evidence.segment_size // stride,
+        work_per_item=n + len(weights),
     )
     return np.asarray(out.numpy())
 

@@ -1,5 +1,6 @@
 """Generation of object poses (paper, section IV-B)."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,13 @@ from inhand.config import HypothesesConfig
 from inhand.errors import NoAnswer
 from inhand.kernels.launch import launch
 from inhand.kernels.pair_matching import PairTable, match_pairs
-from inhand.packed import PackedObject
+from inhand.packed import PackedObject, device_poses
 from inhand.stages.congruent_sets import generate_from_congruent_sets
-from inhand.stages.evidence import Evidence, score_with_contact
+from inhand.stages.evidence import Evidence, contact_penalty, score
 from inhand.stages.results import PoseSet, Segment
+
+PART = 16
+"""Every so-many-th pose tells what the best ones will score."""
 
 
 def generate_hypotheses(
@@ -39,16 +43,42 @@ def generate_hypotheses(
     poses = drawn[drawn[:, 3, 3] > 0]
     if not len(poses):
         raise NoAnswer("no part of the object segment matches the object's shape")
-    scores = score_with_contact(
-        evidence,
-        obj,
-        poses,
-        model_points=config.model_points,
-        segment_points=config.segment_points,
-        tolerance=config.tolerance,
-        contact_points=config.contact_points,
-    )
-    return PoseSet(poses, scores)
+    return _best(poses, evidence, obj, config)
+
+
+def _best(
+    poses: NDArray[np.float32], evidence: Evidence, obj: PackedObject, config: HypothesesConfig
+) -> PoseSet:
+    """About the best `keep` of the poses, best first.
+
+    A part of them tells what the worst of these will score; what is certain to score less is left
+    on the way there.
+    """
+
+    def fit(T: Any, worth: float) -> NDArray[np.float32]:
+        return score(
+            evidence,
+            obj,
+            T,
+            model_points=config.model_points,
+            segment_points=config.segment_points,
+            tolerance=config.tolerance,
+            worth=worth,
+        )
+
+    def less_contact(T: Any, scores: NDArray[np.float32]) -> NDArray[np.float32]:
+        return scores - contact_penalty(evidence, obj, T, config.contact_points)
+
+    part = device_poses(poses[::PART], obj.device)
+    scores = np.sort(less_contact(part, fit(part, -np.inf)))[::-1]
+    expected = config.keep / PART
+    enough = int(expected + 2 * math.sqrt(expected))
+    worth = float(scores[enough]) if enough < len(scores) else -np.inf
+    scores = fit(device_poses(poses, obj.device), worth)
+    left = np.flatnonzero(scores >= worth)
+    scores = less_contact(device_poses(poses[left], obj.device), scores[left])
+    best = np.argsort(-scores, kind="stable")[: config.keep]
+    return PoseSet(poses[left[best]], scores[best])
 
 
 def _sample_pairs(

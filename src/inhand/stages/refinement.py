@@ -28,7 +28,7 @@ def refine(
         return refine_by_icp(poses, segment, obj, config)
     device = obj.device
     refined = wp.empty(len(poses), dtype=wp.mat44, device=device)
-    stride = max(1, evidence.segment_size // config.segment_points)
+    stride = evidence.stride(config.segment_points)
     n = min(config.model_points, len(obj.points))
     launch(
         refine_poses,
