@@ -30,15 +30,7 @@ def cluster(
     """
     if config.method == "se3":
         return cluster_se3(hypotheses, obj, config)
-    scores = score_with_contact(
-        evidence,
-        obj,
-        hypotheses.T_camera_object,
-        model_points=config.model_points,
-        segment_points=config.segment_points,
-        tolerance=config.tolerance,
-        contact_points=config.contact_points,
-    )
+    scores = score_with_contact(evidence, obj, hypotheses.T_camera_object, config)
     return distinct_poses(
         PoseSet(hypotheses.T_camera_object, scores), obj, config.surface_distance, config.keep
     )

@@ -11,9 +11,9 @@ from inhand.config import HypothesesConfig
 from inhand.errors import NoAnswer
 from inhand.kernels.launch import launch
 from inhand.kernels.pair_matching import PairTable, match_pairs
-from inhand.packed import PackedObject, device_poses
+from inhand.packed import PackedObject
 from inhand.stages.congruent_sets import generate_from_congruent_sets
-from inhand.stages.evidence import Evidence, contact_penalty, score
+from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.results import PoseSet, Segment
 
 PART = 16
@@ -49,36 +49,19 @@ def generate_hypotheses(
 def _best(
     poses: NDArray[np.float32], evidence: Evidence, obj: PackedObject, config: HypothesesConfig
 ) -> PoseSet:
-    """About the best `keep` of the poses, best first.
+    """The best `keep` of the poses, best first.
 
     A part of them tells what the worst of these will score; what is certain to score less is left
     on the way there.
     """
 
-    def fit(T: Any, worth: float) -> NDArray[np.float32]:
-        return score(
-            evidence,
-            obj,
-            T,
-            model_points=config.model_points,
-            segment_points=config.segment_points,
-            tolerance=config.tolerance,
-            worth=worth,
-        )
-
-    def less_contact(T: Any, scores: NDArray[np.float32]) -> NDArray[np.float32]:
-        return scores - contact_penalty(evidence, obj, T, config.contact_points)
-
-    part = device_poses(poses[::PART], obj.device)
-    scores = np.sort(less_contact(part, fit(part, -np.inf)))[::-1]
+    part = score_with_contact(evidence, obj, poses[::PART], config)
     expected = config.keep / PART
     enough = int(expected + 2 * math.sqrt(expected))
-    worth = float(scores[enough]) if enough < len(scores) else -np.inf
-    scores = fit(device_poses(poses, obj.device), worth)
-    left = np.flatnonzero(scores >= worth)
-    scores = less_contact(device_poses(poses[left], obj.device), scores[left])
+    worth = float(np.sort(part)[-enough]) if enough < len(part) else -np.inf
+    scores = score_with_contact(evidence, obj, poses, config, worth)
     best = np.argsort(-scores, kind="stable")[: config.keep]
-    return PoseSet(poses[left[best]], scores[best])
+    return PoseSet(poses[best], scores[best])
 
 
 def _sample_pairs(
