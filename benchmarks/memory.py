@@ -33,7 +33,7 @@ SMALL = replace(
     EstimatorConfig(),
     hand_state=HandStateConfig(samples=128, coarse_points=16, fine_points=32, local_samples=8),
     hypotheses=HypothesesConfig(pairs=80, matches=8),
-    clustering=ClusteringConfig(shortlist=60, keep=10),
+    clustering=ClusteringConfig(keep=10),
     refinement=RefinementConfig(iterations=3, keep=10),
 )
 """The default method with less of everything."""

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from held_object import built_in_object, held_object
@@ -129,16 +127,6 @@ def test_the_truth_comes_first_among_the_clusters(name: str) -> None:
     found = cluster(hypotheses, evidence_of(name), scene.obj, ClusteringConfig())
     assert mean_distance(scene.obj, found.T_camera_object[0], scene.T_camera_object) < 0.002
     assert (np.diff(found.score) <= 0).all()
-
-
-def test_only_the_best_hypotheses_are_scored_again() -> None:
-    scene, hypotheses = held_object("cuboid"), hypotheses_around("cuboid", 50)
-    marked = PoseSet(hypotheses.T_camera_object, np.arange(50, dtype=np.float32))
-    config = replace(ClusteringConfig(), shortlist=10, keep=100)
-    found = cluster(marked, evidence_of("cuboid"), scene.obj, config)
-    known = {T.tobytes() for T in marked.T_camera_object[-10:]}
-    assert 1 <= len(found) <= 10
-    assert all(T.tobytes() in known for T in found.T_camera_object)
 
 
 def test_the_method_of_the_paper_can_be_chosen() -> None:

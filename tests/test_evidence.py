@@ -1,12 +1,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from held_object import HeldObject, distance_to_hand, held_object
 
-from inhand.config import EvidenceConfig
+from inhand.config import ClusteringConfig, EvidenceConfig
 from inhand.geometry.se3 import exp, transform
 from inhand.packed import device_poses
 from inhand.stages.evidence import (
@@ -19,7 +18,9 @@ from inhand.stages.evidence import (
 from inhand.stages.results import HandState
 
 CONFIG = EvidenceConfig()
-SAMPLES: dict[str, Any] = {"model_points": 300, "segment_points": 300, "tolerance": 0.004}
+SAMPLES = ClusteringConfig(
+    model_points=300, segment_points=300, contact_points=200, tolerance=0.004
+)
 
 
 def evidence_of(
@@ -146,8 +147,8 @@ def test_the_score_with_contact_is_the_score_less_the_penalty() -> None:
     scene = held_object("industrial_part")
     T = around(scene, 40)
     evidence = evidence_of(scene)
-    found = score_with_contact(evidence, scene.obj, T, contact_points=200, **SAMPLES)
-    plain = score(evidence, scene.obj, device_poses(T, "cpu"), **SAMPLES)
+    found = score_with_contact(evidence, scene.obj, T, SAMPLES)
+    plain = score(evidence, scene.obj, device_poses(T, "cpu"), SAMPLES)
     np.testing.assert_allclose(found, plain - penalties(scene, T, points=200), atol=1e-6)
 
 
@@ -155,7 +156,7 @@ def test_the_score_with_contact_is_the_score_less_the_penalty() -> None:
 def test_no_pose_nearby_explains_the_image_better_than_the_true_one(name: str) -> None:
     scene = held_object(name)
     T = around(scene, 200)
-    found = score_with_contact(evidence_of(scene), scene.obj, T, contact_points=200, **SAMPLES)
+    found = score_with_contact(evidence_of(scene), scene.obj, T, SAMPLES)
     assert found.argmax() == 0
     assert found[0] > 0.5
 
@@ -178,7 +179,7 @@ def test_links_without_support_do_not_hide_the_object() -> None:
 def test_every_segment_point_is_part_of_the_evidence() -> None:
     scene = held_object("cuboid")
     evidence = evidence_of(scene)
-    assert evidence.segment_size == len(scene.segment.points)
+    assert len(evidence.segment_weights) == len(scene.segment.points)
     given = np.column_stack([scene.segment.points, scene.segment.normals, scene.segment.weight])
     e = evidence.arrays
     found = np.column_stack([e.points.numpy(), e.normals.numpy(), e.weights.numpy()])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from probe_kernels import move, solve
 
 from inhand.camera import Camera
-from inhand.config import EvidenceConfig, ObservationConfig, RefinementConfig
+from inhand.config import ClusteringConfig, EvidenceConfig, ObservationConfig, RefinementConfig
 from inhand.geometry.mesh import box
 from inhand.geometry.se3 import exp, inverse, random_rotation, transform
 from inhand.kernels.depth import DepthRenderer
@@ -23,7 +23,7 @@ from inhand.object_model import ObjectModel
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.evidence import Evidence, gather_evidence, score
 from inhand.stages.observation import Observation, observe
-from inhand.stages.refinement import refine
+from inhand.stages.refinement import fit_to_field, refine
 from inhand.stages.results import HandState, PoseSet, Segment
 
 # Algebra
@@ -98,7 +98,7 @@ def evidence_of(
     e.weights = wp.array(weights, dtype=float)
     e.near, e.share_weight = 0.004, share_weight
     config = EvidenceConfig(violation=VIOLATION, missing=MISSING, hidden=HIDDEN)
-    return Evidence(e, len(points), built_in_hand(), nowhere(), config)
+    return Evidence(e, weights.astype(np.float32), built_in_hand(), nowhere(), config)
 
 
 def nowhere() -> HandState:
@@ -110,9 +110,13 @@ def nowhere() -> HandState:
     )
 
 
-def scored(evidence: Evidence, obj: PackedObject, T: np.ndarray, **options: Any) -> np.ndarray:
-    given_options = {"model_points": 1000, "segment_points": 10_000, "tolerance": TOLERANCE}
-    return score(evidence, obj, device_poses(T, "cpu"), **(given_options | options))
+FINE = ClusteringConfig(model_points=1000, segment_points=10_000, tolerance=TOLERANCE)
+
+
+def scored(
+    evidence: Evidence, obj: PackedObject, T: np.ndarray, worth: float = -np.inf, **samples: Any
+) -> np.ndarray:
+    return score(evidence, obj, device_poses(T, "cpu"), replace(FINE, **samples), worth)
 
 
 def frontal_area(obj: PackedObject, z: float) -> float:
@@ -204,6 +208,19 @@ def test_fewer_samples_score_about_the_same() -> None:
     np.testing.assert_allclose(too_many, fine, atol=1e-5)
 
 
+def test_what_scores_enough_is_scored_in_full_and_the_rest_is_left_below() -> None:
+    scene = held_object("industrial_part")
+    evidence = gather_evidence(
+        scene.observation, scene.hand_state, scene.segment, scene.hand, EvidenceConfig()
+    )
+    T = scene.T_camera_object @ exp(np.random.default_rng(0).normal(0, 0.006, (200, 6)))
+    full = scored(evidence, scene.obj, T)
+    for worth in np.quantile(full, (0.1, 0.5, 0.9)):
+        found = scored(evidence, scene.obj, T, worth=worth)
+        np.testing.assert_array_equal(found >= worth, full >= worth)
+        np.testing.assert_array_equal(found[full >= worth], full[full >= worth])
+
+
 # Refinement
 
 
@@ -232,6 +249,13 @@ def starts(T: np.ndarray, count: int) -> PoseSet:
     return PoseSet(poses.astype(np.float32), np.arange(count, dtype=np.float32))
 
 
+def fitted(start: PoseSet, evidence: Evidence, obj: PackedObject, points: int = 300) -> np.ndarray:
+    """Poses, shape (m, 4, 4), after twelve iterations."""
+    return fit_to_field(
+        evidence, obj, 0.3, start.T_camera_object, points, iterations=12, widths=(0.010, 0.004)
+    )
+
+
 def surface_error(obj: PackedObject, T: np.ndarray, T_true: np.ndarray) -> np.ndarray:
     """Mean distance [m] of the surface at poses (m, 4, 4) to the true one, shape (m,)."""
     points = obj.model.surface.points[:300]
@@ -245,11 +269,10 @@ def test_poses_converge_to_the_truth(name: str, seed: int) -> None:
     obj, T, observation, segment = alone(name, seed)
     evidence = gather_evidence(observation, nowhere(), segment, built_in_hand(), EvidenceConfig())
     start = starts(T, 40)
-    found = refine(start, segment, evidence, obj, RefinementConfig())
+    found = fitted(start, evidence, obj)
     assert np.median(surface_error(obj, start.T_camera_object, T)) > 0.002
-    assert surface_error(obj, found.T_camera_object, T).max() < 0.0003
-    np.testing.assert_array_equal(found.score, start.score)
-    R = found.T_camera_object[:, :3, :3]
+    assert surface_error(obj, found, T).max() < 0.0003
+    R = found[:, :3, :3]
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (40, 1, 1)), atol=1e-5)
 
 
@@ -258,7 +281,7 @@ def test_poses_are_no_worse_than_those_of_another_implementation() -> None:
     obj, T, observation, segment = alone("industrial_part", 0)
     evidence = gather_evidence(observation, nowhere(), segment, built_in_hand(), EvidenceConfig())
     start = starts(T, 20)
-    found = refine(start, segment, evidence, obj, RefinementConfig())
+    found = fitted(start, evidence, obj)
     mesh = trimesh.Trimesh(obj.model.mesh.vertices, obj.model.mesh.faces)
     target = small_gicp.PointCloud(np.asarray(mesh.sample(40_000, seed=0)))
     tree = small_gicp.KdTree(target)
@@ -275,7 +298,7 @@ def test_poses_are_no_worse_than_those_of_another_implementation() -> None:
         ).T_target_source
         for pose in start.T_camera_object
     ]
-    ours = surface_error(obj, found.T_camera_object, T)
+    ours = surface_error(obj, found, T)
     theirs = surface_error(obj, inverse(np.stack(others)), T)
     assert np.median(ours) < np.median(theirs) + 0.0001
     assert ours.max() < theirs.max() + 0.0001
@@ -285,11 +308,27 @@ def test_poses_converge_in_the_hand() -> None:
     """Parts of the object are hidden, and the readings around it are the hand's."""
     scene = held_object("industrial_part")
     evidence = evidence_in_hand(scene)
-    found = refine(
-        starts(scene.T_camera_object, 40), scene.segment, evidence, scene.obj, RefinementConfig()
-    )
-    error = surface_error(scene.obj, found.T_camera_object, scene.T_camera_object)
+    found = fitted(starts(scene.T_camera_object, 40), evidence, scene.obj)
+    error = surface_error(scene.obj, found, scene.T_camera_object)
     assert (error < 0.0006).mean() > 0.9
+
+
+def test_the_stage_refines_the_best_of_what_is_distinct() -> None:
+    """Starts around the truth come together and are one; those around another pose are others."""
+    scene = held_object("industrial_part")
+    evidence = evidence_in_hand(scene)
+    elsewhere = scene.T_camera_object @ exp(np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0]))
+    around = [starts(T, 40).T_camera_object for T in (elsewhere, scene.T_camera_object)]
+    start = PoseSet(np.concatenate(around), np.zeros(80, dtype=np.float32))
+    found = refine(start, scene.segment, evidence, scene.obj, RefinementConfig())
+    assert 2 <= len(found) <= RefinementConfig().keep
+    assert (np.diff(found.score) <= 0).all()
+    error = surface_error(scene.obj, found.T_camera_object, scene.T_camera_object)
+    assert error[0] < 0.0006
+    assert (error < 0.002).sum() < 10
+    few = replace(RefinementConfig(), keep=3)
+    kept = refine(start, scene.segment, evidence, scene.obj, few)
+    np.testing.assert_array_equal(kept.T_camera_object, found.T_camera_object[:3])
 
 
 def evidence_in_hand(scene: HeldObject) -> Evidence:
@@ -300,29 +339,21 @@ def evidence_in_hand(scene: HeldObject) -> Evidence:
 
 def test_refinement_does_not_depend_on_the_company() -> None:
     scene = held_object("cuboid")
-    evidence, config = evidence_in_hand(scene), RefinementConfig()
+    evidence = evidence_in_hand(scene)
     start = starts(scene.T_camera_object, 12)
-    together = refine(start, scene.segment, evidence, scene.obj, config).T_camera_object
+    together = fitted(start, evidence, scene.obj)
     for k in (0, 7):
-        one = start.take(np.array([k]))
-        found = refine(one, scene.segment, evidence, scene.obj, config).T_camera_object
+        found = fitted(start.take(np.array([k])), evidence, scene.obj)
         np.testing.assert_array_equal(found[0], together[k])
 
 
 def test_more_points_than_the_model_has_are_all_of_them() -> None:
     scene = held_object("cuboid")
-    start = starts(scene.T_camera_object, 3)
+    start, evidence = starts(scene.T_camera_object, 3), evidence_in_hand(scene)
     all_points, more = (
-        refine(
-            start,
-            scene.segment,
-            evidence_in_hand(scene),
-            scene.obj,
-            replace(RefinementConfig(), model_points=n),
-        )
-        for n in (len(scene.obj.points), 10**7)
+        fitted(start, evidence, scene.obj, points=n) for n in (len(scene.obj.points), 10**7)
     )
-    np.testing.assert_array_equal(all_points.T_camera_object, more.T_camera_object)
+    np.testing.assert_array_equal(all_points, more)
 
 
 def test_a_pose_far_from_every_reading_stays() -> None:

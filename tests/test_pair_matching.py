@@ -202,12 +202,21 @@ def surface_error(scene: HeldObject, T: np.ndarray) -> np.ndarray:
 def test_the_truth_is_among_the_best_hypotheses(name: str) -> None:
     scene = held_object(name)
     found = hypotheses_of(scene, scene.segment)
-    assert len(found) > 1000
+    assert len(found) == HypothesesConfig().keep
     np.testing.assert_allclose(np.linalg.det(found.T_camera_object[:, :3, :3]), 1, atol=1e-3)
     best = found.take(np.argsort(-found.score)[:50])
     # Samples of the model are some millimetres apart.
     spacing = surface_error(scene, scene.T_camera_object[None])[0]
     assert surface_error(scene, best.T_camera_object.astype(float)).min() < spacing + 0.002
+
+
+def test_the_poses_that_are_kept_are_the_best_of_all() -> None:
+    scene = held_object("industrial_part")
+    everything = hypotheses_of(scene, scene.segment, pairs=200, keep=10**6)
+    kept = hypotheses_of(scene, scene.segment, pairs=200, keep=50)
+    assert len(everything) > 1000
+    assert (np.diff(everything.score) <= 0).all()
+    np.testing.assert_array_equal(kept.score, everything.score[:50])
 
 
 def test_hypotheses_are_repeatable() -> None:

@@ -122,15 +122,7 @@ def test_the_ranking_is_by_fit_and_contact() -> None:
     evidence = gather_evidence(
         scene.observation, scene.hand_state, scene.segment, scene.hand, EvidenceConfig()
     )
-    expected = score_with_contact(
-        evidence,
-        scene.obj,
-        poses.astype(np.float32),
-        model_points=CONFIG.model_points,
-        segment_points=CONFIG.segment_points,
-        tolerance=CONFIG.tolerance,
-        contact_points=CONFIG.contact_points,
-    )
+    expected = score_with_contact(evidence, scene.obj, poses.astype(np.float32), CONFIG)
     np.testing.assert_array_equal(found.score, np.sort(expected)[::-1])
 
 

@@ -259,7 +259,7 @@ class HypothesesConfig(Section):
 
     method: Literal["pairs", "congruent_sets"] = "pairs"
     """`congruent_sets`: the paper's Alg. 2 and Super4PCS extraction; `pairs`: oriented pairs."""
-    pairs: int = 800
+    pairs: int = 400
     """`pairs`: scene pairs sampled."""
     matches: int = 32
     """`pairs`: model pairs drawn for each."""
@@ -277,6 +277,8 @@ class HypothesesConfig(Section):
     """`pairs`: model points held against the hand in it."""
     segment_points: int = 24
     """`pairs`: segment points in it."""
+    keep: int = 500
+    """`pairs`: poses passed on at most, the best by this scoring."""
     heuristic_decay: float = 300.0
     """lambda of pi(p) ~ 1 - exp(-lambda SDF) [1/m]."""
     heuristic: bool = True
@@ -320,8 +322,6 @@ class ClusteringConfig(Section):
 
     method: Literal["distinct", "se3"] = "distinct"
     """`se3`: the paper's, Euclidean then geodesic; `distinct`: greedy by score."""
-    shortlist: int = 500
-    """`distinct`: hypotheses scored again."""
     tolerance: float = 0.006
     """`distinct`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 200
@@ -346,16 +346,28 @@ class RefinementConfig(Section):
 
     method: Literal["field", "icp"] = "field"
     """`icp`: the paper's point-to-plane ICP; `field`: Gauss-Newton on the distance field."""
-    iterations: int = 12
-    """Iterations."""
+    iterations: int = 8
+    """Iterations; `field`: of the poses that are kept."""
     segment_points: int = 300
-    """`field`: segment points used."""
+    """`field`: segment points used in the scoring before these."""
     model_points: int = 300
-    """`field`: model points used."""
+    """`field`: model points used in it and, with as many segment points, in these."""
+    rough_iterations: int = 4
+    """`field`: iterations of all poses before."""
+    rough_points: int = 100
+    """`field`: segment points, and model points, used in those."""
+    tolerance: float = 0.005
+    """`field`: depth agreement of a model point with its pixel in the scoring between them [m]."""
+    contact_points: int = 48
+    """`field`: model points held against the hand in it."""
+    surface_distance: float = 0.001
+    """`field`: poses whose surfaces are nearer on average are one by then [m]."""
     image_weight: NonNegative = 0.3
     """`field`: weight of a visible model point against a segment point."""
     first_width: float = 0.010
     """`field`: width of the redescending weight in the first iteration [m]."""
+    middle_width: float = 0.007
+    """`field`: and between rough and last iterations [m]."""
     last_width: float = 0.004
     """`field`: and in the last [m]."""
     max_distance: float = 0.010
@@ -366,8 +378,8 @@ class RefinementConfig(Section):
     """Poses nearer than this and `merge_angle` are one afterwards [m]."""
     merge_angle: Angle = 0.0873
     """Poses nearer than this and `merge_distance` are one afterwards [rad]."""
-    keep: int = 100
-    """Poses kept with the highest score. Paper: 100."""
+    keep: int = 30
+    """Poses kept with the highest score; `field`: that are refined further. Paper: 100."""
     lcp_distance: float = 0.003
     """LCP: a segment point nearer than this to the model counts [m]."""
     lcp_normal_angle: Angle = 0.5236
@@ -465,7 +477,7 @@ class EstimatorConfig(Section):
             segmentation=SegmentationConfig(method="threshold"),
             hypotheses=HypothesesConfig(method="congruent_sets"),
             clustering=ClusteringConfig(method="se3"),
-            refinement=RefinementConfig(method="icp"),
+            refinement=RefinementConfig(method="icp", iterations=12, keep=100),
             pruning=PruningConfig(method="physics"),
             selection=SelectionConfig(method="render"),
         )

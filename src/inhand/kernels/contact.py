@@ -7,6 +7,18 @@ from inhand.kernels.fields import Fields, field_at
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.func
+def rigid_inverse(T: wp.mat44):
+    """Inverse of a rigid transform."""
+    t = wp.transform_vector(wp.transpose(T), wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+    return wp.mat44(
+        T[0, 0], T[1, 0], T[2, 0], -t[0],
+        T[0, 1], T[1, 1], T[2, 1], -t[1],
+        T[0, 2], T[1, 2], T[2, 2], -t[2],
+        0.0, 0.0, 0.0, 1.0,
+    )  # fmt: skip
+
+
 @wp.kernel
 def link_clearances(
     T_camera_object: wp.array(dtype=wp.mat44),
@@ -31,20 +43,16 @@ def link_clearances(
     i = first + wp.tid()
     n_links = spheres.shape[0]
     link = i % n_links
-    T_link = T_camera_link[link]
-    inverse = wp.transpose(T_link)
-    origin = wp.vec3(T_link[0, 3], T_link[1, 3], T_link[2, 3])
-    T_object = T_camera_object[i // n_links]
+    T = rigid_inverse(T_camera_link[link]) * T_camera_object[i // n_links]
     s = spheres[link]
-    centre = wp.vec3(s[0], s[1], s[2])
+    # The sphere goes to the points: most of them need no transform then.
+    centre = wp.transform_point(rigid_inverse(T), wp.vec3(s[0], s[1], s[2]))
     nearest = farthest
     for k in range(n_points):
-        p = wp.transform_point(T_object, points[k])
-        local = wp.transform_vector(inverse, p - origin)
-        offset = local - centre
+        offset = points[k] - centre
         bound = s[3] + wp.max(nearest, 0.0)
         if wp.dot(offset, offset) < bound * bound:
-            nearest = wp.min(nearest, field_at(fields, link, local)[0])
+            nearest = wp.min(nearest, field_at(fields, link, wp.transform_point(T, points[k]))[0])
     clearance[i] = nearest
 
 

@@ -60,9 +60,10 @@ def visible_score(
     for i in range(n_points):
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
-        facing = -wp.dot(n, p) / wp.length(p)
-        if facing < 0.1:
+        facing = -wp.dot(n, p)
+        if facing * facing < 0.01 * wp.dot(p, p) or facing < 0.0:
             continue
+        facing = facing / wp.length(p)
         pixel = pixel_of(e.view.camera, p)
         if pixel < 0:
             continue
@@ -74,21 +75,29 @@ def visible_score(
 
 
 @wp.func
-def explained_share(e: ObjectEvidence, T: wp.mat44, fields: Fields, stride: int):
-    """Weighted share of the segment's points that lie on the posed model's surface."""
-    total = float(1.0e-6)
+def explained_share(
+    e: ObjectEvidence, T: wp.mat44, fields: Fields, stride: int, total: float, least: float
+):
+    """Weighted share of the segment's points that lie on the posed model's surface.
+
+    Once it is certain to be less than `least`, counting ends with what it can be at most.
+    """
     explained = float(0.0)
+    missed = float(0.0)
     inverse = wp.transpose(T)
     t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     for i in range(0, e.points.shape[0], stride):
+        if missed > (1.0 - least) * total:
+            return 1.0 - missed / total
         w = e.weights[i]
-        total += w
         value = field_at(fields, 0, wp.transform_vector(inverse, e.points[i] - t))
         x = wp.abs(value[0]) / e.near
+        agreement = float(0.0)
         if x < 1.0:
             gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
-            agreement = wp.max(0.0, wp.dot(gradient, e.normals[i]))
-            explained += w * (1.0 - x * x) * agreement
+            agreement = (1.0 - x * x) * wp.max(0.0, wp.dot(gradient, e.normals[i]))
+        explained += w * agreement
+        missed += w * (1.0 - agreement)
     return explained / total
 
 
@@ -102,6 +111,8 @@ def score_poses(
     n_points: int,
     fields: Fields,
     segment_stride: int,
+    segment_weight: float,
+    worth: float,
     score: wp.array(dtype=float),
     first: int,
 ):
@@ -110,12 +121,15 @@ def score_poses(
     Args (beyond the obvious):
         points, normals: model surface samples, object frame; the first `n_points` are used.
         segment_stride: every how many segment points one is used.
+        segment_weight: sum of the weights of these.
+        worth: a pose that is certain to score less is left with some score below this.
     """
     i = first + wp.tid()
     T = T_camera_object[i]
-    score[i] = visible_score(e, rule, T, points, normals, n_points) + (
-        e.share_weight * explained_share(e, T, fields, segment_stride)
-    )
+    seen = visible_score(e, rule, T, points, normals, n_points)
+    least = (worth - seen) / wp.max(e.share_weight, 1.0e-6)
+    share = explained_share(e, T, fields, segment_stride, segment_weight, least)
+    score[i] = seen + e.share_weight * share
 
 
 @wp.func

@@ -8,11 +8,16 @@ from numpy.typing import NDArray
 
 from inhand.config import ClusteringConfig
 from inhand.kernels.launch import launch
-from inhand.kernels.pose_distance import surface_distances
+from inhand.kernels.pose_distance import compare_poses, surface_distances
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.results import PoseSet
 from inhand.stages.se3_clustering import cluster_se3
+
+SAMPLES = 24
+"""Surface samples by which two poses are compared."""
+BLOCK = 64
+"""So many poses at a time are compared with those that are kept."""
 
 
 def cluster(
@@ -20,25 +25,14 @@ def cluster(
 ) -> PoseSet:
     """The best pose of every group of poses that are alike, best first.
 
-    The paper groups by translation, then by rotation. By default the best hypotheses are scored
-    again on more points, and taken greedily as long as their surface differs from those taken.
+    The paper groups by translation, then by rotation. By default the hypotheses are scored again
+    on more points, and taken greedily as long as their surface differs from those taken.
     """
     if config.method == "se3":
         return cluster_se3(hypotheses, obj, config)
-    n = min(config.shortlist, len(hypotheses))
-    best = np.argpartition(-hypotheses.score, n - 1)[:n]
-    shortlist = hypotheses.take(np.sort(best))
-    scores = score_with_contact(
-        evidence,
-        obj,
-        shortlist.T_camera_object,
-        model_points=config.model_points,
-        segment_points=config.segment_points,
-        tolerance=config.tolerance,
-        contact_points=config.contact_points,
-    )
+    scores = score_with_contact(evidence, obj, hypotheses.T_camera_object, config)
     return distinct_poses(
-        PoseSet(shortlist.T_camera_object, scores), obj, config.surface_distance, config.keep
+        PoseSet(hypotheses.T_camera_object, scores), obj, config.surface_distance, config.keep
     )
 
 
@@ -48,39 +42,52 @@ def distinct_poses(poses: PoseSet, obj: PackedObject, distance: float, keep: int
     Poses that differ by a symmetry of the object have the same surface and are one.
     """
     ranked = poses.take(np.argsort(-poses.score, kind="stable"))
-    on_device = device_poses(ranked.T_camera_object, obj.device)
-    left = np.ones(len(ranked), dtype=bool)
-    farthest = max(3 * distance, 0.001)
-    chosen: list[int] = []
-    while len(chosen) < keep and left.any():
-        best = int(left.argmax())
-        chosen.append(best)
-        apart = surface_distances_to(on_device, ranked.T_camera_object[best], obj, farthest)
-        left &= apart > distance
-        left[best] = False
-    return ranked.take(np.array(chosen, dtype=np.intp))
+    T = device_poses(ranked.T_camera_object, obj.device)
+    chosen = np.zeros(0, dtype=np.int32)
+    for begin in range(0, len(ranked), BLOCK):
+        if len(chosen) >= keep:
+            break
+        block = np.arange(begin, min(begin + BLOCK, len(ranked)), dtype=np.int32)
+        others = np.concatenate([chosen, block])
+        alike = wp.zeros((len(block), len(others)), dtype=int, device=obj.device)
+        launch(
+            compare_poses,
+            len(block),
+            [T, wp.array(others, dtype=int, device=obj.device), len(chosen), begin]
+            + [*_surface(obj), distance, alike],
+            obj.device,
+            work_per_item=4 * len(others),
+        )
+        distinct = np.arange(len(others)) < len(chosen)
+        for i, row in enumerate(alike.numpy(), start=len(chosen)):
+            distinct[i] = not row[distinct].any()
+        chosen = others[distinct]
+    return ranked.take(chosen[:keep].astype(np.intp))
 
 
 def surface_distances_to(
-    T_camera_object: Any, T: NDArray[np.float32], obj: PackedObject, farthest: float
+    T_camera_object: NDArray[np.float32], T: NDArray[np.float32], obj: PackedObject, farthest: float
 ) -> NDArray[np.float32]:
     """Mean distances [m], shape (m,), of the surface at some poses to the surface at one pose.
 
     Args:
-        T_camera_object: poses, shape (m, 4, 4), or on the device.
+        T_camera_object: poses, shape (m, 4, 4).
         T: the one pose, shape (4, 4).
         obj: the object.
         farthest: larger distances are cut off here [m].
     """
-    if not isinstance(T_camera_object, wp.array):
-        T_camera_object = device_poses(T_camera_object, obj.device)
     out = wp.empty(len(T_camera_object), dtype=float, device=obj.device)
     launch(
         surface_distances,
         len(T_camera_object),
-        [T_camera_object, wp.mat44(*T.reshape(-1).tolist()), obj.points, 24, obj.fields]
-        + [wp.vec3(*obj.model.centre.tolist()), farthest, out],
+        [device_poses(T_camera_object, obj.device), wp.mat44(*T.reshape(-1).tolist())]
+        + [*_surface(obj), farthest, out],
         obj.device,
         work_per_item=5,
     )
     return np.asarray(out.numpy())
+
+
+def _surface(obj: PackedObject) -> list[Any]:
+    """What the kernels that compare poses know of the object."""
+    return [obj.points, SAMPLES, obj.fields, wp.vec3(*obj.model.centre.tolist())]

@@ -1,7 +1,7 @@
 """What object poses are held against: the image, the rendered hand and the object segment."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
@@ -24,14 +24,38 @@ class Evidence:
 
     arrays: Any = field(repr=False)
     """`kernels.object_fit.ObjectEvidence`."""
-    segment_size: int
-    """Number of segment points."""
+    segment_weights: NDArray[np.float32]
+    """Weights of the segment points in the order of `arrays`, shape (n,)."""
     hand: PackedHand = field(repr=False)
     """The hand."""
     hand_state: HandState
     """Where it is."""
     config: EvidenceConfig
     """Parameters."""
+
+    def stride(self, points: int) -> int:
+        """Every so-many-th segment point makes up about `points`."""
+        return max(1, len(self.segment_weights) // points)
+
+
+class Samples(Protocol):
+    """How finely poses are scored; the sections of the configuration that say it are such."""
+
+    @property
+    def model_points(self) -> int:
+        """Model points that are held against the image."""
+
+    @property
+    def segment_points(self) -> int:
+        """About how many segment points are held against the model."""
+
+    @property
+    def contact_points(self) -> int:
+        """Model points that are held against the hand."""
+
+    @property
+    def tolerance(self) -> float:
+        """Depth agreement of a model point with its pixel [m]."""
 
 
 def gather_evidence(
@@ -57,21 +81,20 @@ def gather_evidence(
     e.hand_step = config.hand_step
     # A fixed shuffle makes every strided subset an even sample of the segment.
     order = np.random.default_rng(0).permutation(len(segment.points))
+    weights = segment.weight[order]
     e.points = wp.array(segment.points[order], dtype=wp.vec3, device=device)
     e.normals = wp.array(segment.normals[order], dtype=wp.vec3, device=device)
-    e.weights = wp.array(segment.weight[order], dtype=float, device=device)
+    e.weights = wp.array(weights, dtype=float, device=device)
     e.near, e.share_weight = config.near, config.share_weight
-    return Evidence(e, len(segment.points), hand, hand_state, config)
+    return Evidence(e, weights, hand, hand_state, config)
 
 
 def score(
     evidence: Evidence,
     obj: PackedObject,
     T_camera_object: Any,
-    *,
-    model_points: int,
-    segment_points: int,
-    tolerance: float,
+    samples: Samples,
+    worth: float = -np.inf,
 ) -> NDArray[np.float32]:
     """Scores, shape (m,), of poses.
 
@@ -79,23 +102,24 @@ def score(
         evidence: the evidence.
         obj: the object.
         T_camera_object: poses on the device, `wp.array` of `wp.mat44`.
-        model_points, segment_points: how many of each are used; more is finer and slower.
-        tolerance: depth agreement of a model point with its pixel [m].
+        samples: how finely to score.
+        worth: poses that score less get some score below this.
     """
     device, count = obj.device, len(T_camera_object)
     out = wp.empty(count, dtype=float, device=device)
     rule, config = Visibility(), evidence.config
-    rule.tolerance, rule.violation = tolerance, config.violation
+    rule.tolerance, rule.violation = samples.tolerance, config.violation
     rule.missing, rule.hidden = config.missing, config.hidden
-    stride = max(1, evidence.segment_size // segment_points)
-    n = min(model_points, len(obj.points))
+    stride = evidence.stride(samples.segment_points)
+    weights = evidence.segment_weights[::stride]
+    n = min(samples.model_points, len(obj.points))
     launch(
         score_poses,
         count,
         [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
-        + [stride, out],
+        + [stride, float(weights.sum()) + 1e-6, worth, out],
         device,
-        work_per_item=n + evidence.segment_size // stride,
+        work_per_item=n + len(weights),
     )
     return np.asarray(out.numpy())
 
@@ -104,23 +128,16 @@ def score_with_contact(
     evidence: Evidence,
     obj: PackedObject,
     T_camera_object: NDArray[np.floating[Any]],
-    *,
-    model_points: int,
-    segment_points: int,
-    tolerance: float,
-    contact_points: int,
+    samples: Samples,
+    worth: float = -np.inf,
 ) -> NDArray[np.float32]:
     """Scores, shape (m,), of poses (m, 4, 4): as `score`, less the `contact_penalty`."""
-    poses = device_poses(T_camera_object, obj.device)
-    fit = score(
-        evidence,
-        obj,
-        poses,
-        model_points=model_points,
-        segment_points=segment_points,
-        tolerance=tolerance,
-    )
-    return fit - contact_penalty(evidence, obj, poses, contact_points)
+    scores = score(evidence, obj, device_poses(T_camera_object, obj.device), samples, worth)
+    # Contact only takes away: what is below already stays there.
+    left = np.flatnonzero(scores >= worth)
+    poses = device_poses(T_camera_object[left], obj.device)
+    scores[left] -= contact_penalty(evidence, obj, poses, samples.contact_points)
+    return scores
 
 
 def contact_penalty(

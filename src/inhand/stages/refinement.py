@@ -1,13 +1,18 @@
 """Refinement of every pose that is left (paper, section IV-B)."""
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from inhand.config import RefinementConfig
 from inhand.kernels.launch import launch
 from inhand.kernels.object_fit import refine_poses
 from inhand.packed import PackedObject, device_poses
-from inhand.stages.evidence import Evidence
+from inhand.stages.clustering import distinct_poses
+from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.point_to_plane import refine_by_icp
 from inhand.stages.results import PoseSet, Segment
 
@@ -19,26 +24,54 @@ def refine(
     obj: PackedObject,
     config: RefinementConfig,
 ) -> PoseSet:
-    """Poses after local optimisation.
+    """Poses after local optimisation, scored on the way there.
 
     The paper runs point-to-plane ICP. By default Gauss-Newton pulls the segment onto the model's
-    distance field and visible model samples to their pixels, with a redescending weight.
+    distance field and visible model samples to their pixels, with a redescending weight: all poses
+    roughly, then the best of those that are still distinct.
     """
     if config.method == "icp":
         return refine_by_icp(poses, segment, obj, config)
+    fit = partial(fit_to_field, evidence, obj, config.image_weight)
+    widths = config.first_width, config.middle_width, config.last_width
+    rough = fit(poses.T_camera_object, config.rough_points, config.rough_iterations, widths[:2])
+    scores = score_with_contact(evidence, obj, rough, config)
+    best = distinct_poses(PoseSet(rough, scores), obj, config.surface_distance, config.keep)
+    fine = fit(best.T_camera_object, config.model_points, config.iterations, widths[1:])
+    return PoseSet(fine, best.score)
+
+
+def fit_to_field(
+    evidence: Evidence,
+    obj: PackedObject,
+    image_weight: float,
+    T_camera_object: NDArray[np.float32],
+    points: int,
+    iterations: int,
+    widths: tuple[float, float],
+) -> NDArray[np.float32]:
+    """Poses, shape (m, 4, 4), after Gauss-Newton on the model's distance field.
+
+    Args:
+        evidence: the evidence.
+        obj: the object.
+        image_weight: weight of one visible model point against one segment point.
+        T_camera_object: poses, shape (m, 4, 4).
+        points: about how many segment points and how many model points are used.
+        iterations: number of iterations.
+        widths: of the redescending weight, in the first and the last iteration [m].
+    """
     device = obj.device
-    refined = wp.empty(len(poses), dtype=wp.mat44, device=device)
-    stride = max(1, evidence.segment_size // config.segment_points)
-    n = min(config.model_points, len(obj.points))
+    refined: Any = wp.empty(len(T_camera_object), dtype=wp.mat44, device=device)
+    n = min(points, len(obj.points))
     launch(
         refine_poses,
-        len(poses),
-        [evidence.arrays, device_poses(poses.T_camera_object, device)]
+        len(T_camera_object),
+        [evidence.arrays, device_poses(T_camera_object, device)]
         + [obj.points, obj.normals, n, obj.fields]
         + [wp.vec3(*obj.model.centre.tolist()), 0.5 * obj.model.diameter]
-        + [config.iterations, config.first_width, config.last_width, stride]
-        + [config.image_weight, refined],
+        + [iterations, *widths, evidence.stride(points), image_weight, refined],
         device,
-        work_per_item=config.iterations * (config.segment_points + n),
+        work_per_item=iterations * (points + n),
     )
-    return PoseSet(np.asarray(refined.numpy()), poses.score)
+    return np.asarray(refined.numpy())

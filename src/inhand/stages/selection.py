@@ -33,15 +33,7 @@ def select(
     if config.method == "render":
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
         return Selection(ranked, _confidence(ranked, obj, config), hand_state.joint_vector)
-    scores = score_with_contact(
-        evidence,
-        obj,
-        poses.T_camera_object,
-        model_points=config.model_points,
-        segment_points=config.segment_points,
-        tolerance=config.tolerance,
-        contact_points=config.contact_points,
-    )
+    scores = score_with_contact(evidence, obj, poses.T_camera_object, config)
     ranked = distinct_poses(
         PoseSet(poses.T_camera_object, scores), obj, config.merge_distance, len(poses)
     )

@@ -50,7 +50,8 @@ def fit_wrist(
         joint_damping=1.0,
     )
     widths = np.geomspace(config.max_distance, config.last_width, config.iterations)
-    _, refined = fit.refine(np.repeat(hand.hand.rest[None], len(starts), 0), starts, widths)
+    rest = np.repeat(hand.hand.rest[None], len(starts), 0)
+    _, refined = fit.refine(rest, starts, widths, hand_config.start_stride)
     scores = score(refined, hand_config.fine_tolerance, hand_config.fine_points)
     return Wrist(refined[scores.argmax()])
 
