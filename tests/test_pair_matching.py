@@ -215,8 +215,7 @@ def test_the_poses_that_are_kept_are_the_best_of_all() -> None:
     everything = hypotheses_of(scene, scene.segment, pairs=200, keep=10**6)
     kept = hypotheses_of(scene, scene.segment, pairs=200, keep=50)
     assert len(everything) > 1000
-    assert (np.diff(everything.score) <= 0).all()
-    np.testing.assert_array_equal(kept.score, everything.score[:50])
+    np.testing.assert_array_equal(np.sort(kept.score), np.sort(everything.score)[-50:])
 
 
 def test_hypotheses_are_repeatable() -> None:

@@ -259,9 +259,9 @@ class HypothesesConfig(Section):
 
     method: Literal["pairs", "congruent_sets"] = "pairs"
     """`congruent_sets`: the paper's Alg. 2 and Super4PCS extraction; `pairs`: oriented pairs."""
-    pairs: int = 400
+    pairs: int = 800
     """`pairs`: scene pairs sampled."""
-    matches: int = 32
+    matches: int = 16
     """`pairs`: model pairs drawn for each."""
     partner_tries: int = 4
     """`pairs`: second points tried for each first one."""

@@ -61,7 +61,7 @@ def field_at(fields: Fields, body: int, p: wp.vec3):
     """
     size = fields.size[body]
     voxel = fields.voxel[body]
-    local = (p - fields.origin[body]) / voxel
+    local = (p - fields.origin[body]) * (1.0 / voxel)
     inside = wp.vec3(
         wp.clamp(local[0], 0.0, float(size[0] - 1)),
         wp.clamp(local[1], 0.0, float(size[1] - 1)),

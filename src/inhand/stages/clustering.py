@@ -58,10 +58,12 @@ def distinct_poses(poses: PoseSet, obj: PackedObject, distance: float, keep: int
             obj.device,
             work_per_item=4 * len(others),
         )
-        distinct = np.arange(len(others)) < len(chosen)
-        for i, row in enumerate(alike.numpy(), start=len(chosen)):
-            distinct[i] = not row[distinct].any()
-        chosen = others[distinct]
+        same = alike.numpy() > 0
+        fresh = ~same[:, : len(chosen)].any(axis=1)
+        for i, others_like_it in enumerate(same[:, len(chosen) :].T):
+            if fresh[i]:
+                fresh &= ~others_like_it
+        chosen = np.concatenate([chosen, block[fresh]])
     return ranked.take(chosen[:keep].astype(np.intp))
 
 

@@ -105,8 +105,7 @@ def score(
         samples: how finely to score.
         worth: poses that score less get some score below this.
     """
-    device, count = obj.device, len(T_camera_object)
-    out = wp.empty(count, dtype=float, device=device)
+    out = wp.empty(len(T_camera_object), dtype=float, device=obj.device)
     rule, config = Visibility(), evidence.config
     rule.tolerance, rule.violation = samples.tolerance, config.violation
     rule.missing, rule.hidden = config.missing, config.hidden
@@ -115,10 +114,10 @@ def score(
     n = min(samples.model_points, len(obj.points))
     launch(
         score_poses,
-        count,
+        len(out),
         [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
         + [stride, float(weights.sum()) + 1e-6, worth, out],
-        device,
+        obj.device,
         work_per_item=n + len(weights),
     )
     return np.asarray(out.numpy())

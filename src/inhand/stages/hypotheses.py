@@ -49,7 +49,7 @@ def generate_hypotheses(
 def _best(
     poses: NDArray[np.float32], evidence: Evidence, obj: PackedObject, config: HypothesesConfig
 ) -> PoseSet:
-    """The best `keep` of the poses, best first.
+    """The best `keep` of the poses.
 
     A part of them tells what the worst of these will score; what is certain to score less is left
     on the way there.
@@ -60,7 +60,8 @@ def _best(
     enough = int(expected + 2 * math.sqrt(expected))
     worth = float(np.sort(part)[-enough]) if enough < len(part) else -np.inf
     scores = score_with_contact(evidence, obj, poses, config, worth)
-    best = np.argsort(-scores, kind="stable")[: config.keep]
+    n = min(config.keep, len(poses))
+    best = np.argpartition(-scores, n - 1)[:n]
     return PoseSet(poses[best], scores[best])
 
 

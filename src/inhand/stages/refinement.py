@@ -61,17 +61,16 @@ def fit_to_field(
         iterations: number of iterations.
         widths: of the redescending weight, in the first and the last iteration [m].
     """
-    device = obj.device
-    refined: Any = wp.empty(len(T_camera_object), dtype=wp.mat44, device=device)
+    refined: Any = wp.empty(len(T_camera_object), dtype=wp.mat44, device=obj.device)
     n = min(points, len(obj.points))
     launch(
         refine_poses,
-        len(T_camera_object),
-        [evidence.arrays, device_poses(T_camera_object, device)]
+        len(refined),
+        [evidence.arrays, device_poses(T_camera_object, obj.device)]
         + [obj.points, obj.normals, n, obj.fields]
         + [wp.vec3(*obj.model.centre.tolist()), 0.5 * obj.model.diameter]
         + [iterations, *widths, evidence.stride(points), image_weight, refined],
-        device,
+        obj.device,
         work_per_item=iterations * (points + n),
     )
     return np.asarray(refined.numpy())
