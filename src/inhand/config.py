@@ -209,6 +209,13 @@ class SegmentationConfig(Section):
     """`soft`: weight of a point that only a link without support in the image explains."""
     certain_distance: float = 0.006
     """`soft`: from this distance on a point is certainly not the hand's [m]."""
+    max_length: float = 1.15
+    """`soft`: a connected surface that is longer, in object diameters, is background."""
+    surface_step: float = 0.003
+    """`soft`: a surface ends where the next point is farther than this from its tangent plane; so
+    near the plane of the next background, a point is background [m]."""
+    crease: NonNegative = 0.25
+    """`soft`: and where it bends towards the camera by more than this from cell to cell [rad]."""
     dense_below: int = 400
     """`soft`: a segment of fewer points is taken again from every pixel."""
     min_points: int = 20

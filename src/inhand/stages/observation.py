@@ -59,6 +59,8 @@ class Observation:
     """Unit normals of the scene cloud towards the camera, shape (n, 3)."""
     T_camera_hand: NDArray[np.float64]
     """The wrist pose as given, shape (4, 4)."""
+    step: int
+    """The scene cloud is made of every so-many-th pixel, along either side."""
     noise: float
     """Standard deviation of the depth readings [m], estimated from the image."""
 
@@ -128,6 +130,7 @@ def observe(
         points=cloud.points,
         normals=cloud.normals,
         T_camera_hand=T_camera_hand,
+        step=step,
         noise=_noise(window, inside, config.noise_spacing),
     )
 
@@ -150,13 +153,9 @@ def _surfaces(
     """Smoothed depth [m] and normals of a flat image on the device, 0 where there are none."""
     smooth = wp.empty(len(depth), dtype=float, device=device)
     normals = wp.empty(len(depth), dtype=wp.vec3, device=device)
-    launch(
-        fit_planes,
-        len(depth),
-        [pinhole(roi), depth, config.normal_window, config.normal_gate, far, smooth, normals],
-        device,
-        work_per_item=25,
-    )
+    window = [config.normal_window, config.normal_gate, far]
+    inputs = [pinhole(roi), depth, *window, smooth, normals]
+    launch(fit_planes, len(depth), inputs, device, work_per_item=25)
     return smooth, normals
 
 
@@ -168,18 +167,12 @@ def _missing_share(depth: Any, roi: Camera, radius: int, device: str) -> Any:
     in_rows = wp.empty(len(depth), dtype=int, device=device)
     share = wp.empty(len(depth), dtype=float, device=device)
     size = [roi.width, roi.height, radius]
-    launch(
-        missing_in_rows, roi.height, [depth, *size, in_rows], device, work_per_item=2 * roi.width
-    )
+    rows = [depth, *size, in_rows]
+    launch(missing_in_rows, roi.height, rows, device, work_per_item=2 * roi.width)
     around_readings = in_rows.numpy()[depth.numpy() > 0]
     usual = float(np.median(around_readings[::EVERY])) / (2 * radius + 1)
-    launch(
-        missing_share,
-        roi.width,
-        [depth, in_rows, *size, usual, share],
-        device,
-        work_per_item=2 * roi.height,
-    )
+    columns = [depth, in_rows, *size, usual, share]
+    launch(missing_share, roi.width, columns, device, work_per_item=2 * roi.height)
     return share
 
 
