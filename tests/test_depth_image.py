@@ -116,13 +116,13 @@ def test_an_empty_image_has_no_surface() -> None:
 # Missing readings
 
 
-def shares(missing: np.ndarray, radius: int) -> np.ndarray:
+def shares(missing: np.ndarray, radius: int, usual: float = 0.0) -> np.ndarray:
     depth = wp.array(np.where(missing, 0.0, 0.5).reshape(-1), dtype=float, device="cpu")
     in_rows = wp.empty(missing.size, dtype=int, device="cpu")
     share = wp.empty(missing.size, dtype=float, device="cpu")
     height, width = missing.shape
     launch(missing_in_rows, height, [depth, width, height, radius, in_rows], "cpu")
-    launch(missing_share, width, [depth, in_rows, width, height, radius, share], "cpu")
+    launch(missing_share, width, [depth, in_rows, width, height, radius, usual, share], "cpu")
     return np.asarray(share.numpy().reshape(missing.shape))
 
 
@@ -157,3 +157,10 @@ def test_small_holes_count_less_than_empty_areas() -> None:
     assert share[10, 10] < 0.1
     assert share[40, 40] == 1
     assert (share[~missing] == 0).all()
+
+
+def test_shares_count_from_the_usual_one() -> None:
+    missing = np.random.default_rng(0).random((50, 60)) < 0.6
+    found, plain = shares(missing, 5, usual=0.6), expected_shares(missing, 5)
+    np.testing.assert_allclose(found, np.maximum(plain - 0.6, 0) / 0.4, atol=1e-5)
+    assert (shares(np.ones((50, 60), dtype=bool), 5, usual=0.6) == 1).all()

@@ -3,14 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hand_view import off_by, seen, wrist
-from held_object import HeldObject, Q, built_in_hand, held_object
+from held_object import CAMERA, HeldObject, Q, built_in_hand, held_object
+from reference_depth import plane_depth
 
-from inhand.config import HandStateConfig, WristConfig
+from inhand.config import HandStateConfig, ObservationConfig, WristConfig
 from inhand.errors import NoAnswer
 from inhand.geometry.mesh import box
 from inhand.geometry.se3 import exp
 from inhand.stages.hand_state import estimate_hand_state
-from inhand.stages.observation import Observation
+from inhand.stages.observation import Observation, observe
 from inhand.stages.results import HandState, Wrist
 
 
@@ -74,3 +75,30 @@ def test_a_hand_that_is_not_in_the_image_is_no_answer(depth: float) -> None:
     nothing = range(len(hand.hand.links))
     with pytest.raises(NoAnswer, match="does not show the hand"):
         estimated(seen(hand, Q, T, without=nothing, others=[wall]), T)
+
+
+NOISE = 0.005 * np.random.default_rng(0).normal(size=(CAMERA.height, CAMERA.width))
+
+
+def with_noise(depth: np.ndarray, T_camera_hand: np.ndarray) -> Observation:
+    """An image of `held_object.CAMERA` with noise of 5 mm."""
+    noisy = np.where(depth > 0, depth + NOISE, 0).astype(np.float32)
+    reach = built_in_hand().hand.reach
+    return observe(noisy, CAMERA, T_camera_hand, reach, 0.06, ObservationConfig(), "cpu")
+
+
+def test_a_hand_that_is_seen_badly_is_there_still() -> None:
+    scene = held_object("cuboid")
+    T = scene.hand_state.T_camera_hand
+    state = estimated(with_noise(scene.depth, T), T)
+    distance, angle = off_by(state.T_camera_hand, T)
+    assert distance < 0.004
+    assert angle < 2
+
+
+@pytest.mark.parametrize("behind", [-0.03, 0.03])
+def test_a_noisy_wall_is_no_hand(behind: float) -> None:
+    T = held_object("cuboid").hand_state.T_camera_hand
+    wall = plane_depth(CAMERA, np.array([0, 0, 1.0]), T[2, 3] + behind)
+    with pytest.raises(NoAnswer, match="does not show the hand"):
+        estimated(with_noise(wall, T), T)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from held_object import CAMERA, HeldObject, built_in_hand, held_object
 from reference_depth import plane_depth, rays
+from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
 from inhand.camera import Camera
 from inhand.config import ObservationConfig
@@ -165,3 +166,41 @@ def test_readings_without_neighbours_are_no_answer() -> None:
     speckles[::8, ::8] = 0.5
     with pytest.raises(NoAnswer, match="readings"):
         seen(speckles, T)
+
+
+@pytest.mark.parametrize("lost", [0.3, 0.7])
+def test_readings_that_are_missing_everywhere_are_no_sign_of_empty_space(lost: float) -> None:
+    """A wall with a hole in it, of which readings are missing all over."""
+    _, T = scene_of()
+    wall = plane_depth(CAMERA, np.array([0, 0, 1.0]), T[2, 3])
+    hole = np.zeros(wall.shape, dtype=bool)
+    v0, u0 = (size // 2 - 30 for size in wall.shape)
+    hole[v0 : v0 + 60, u0 : u0 + 60] = True
+    missing = hole | (np.random.default_rng(0).random(wall.shape) < lost)
+    found = seen(np.where(missing, 0, wall), T)
+    share = found.missing_on_device.numpy().reshape(found.depth.shape)
+    (u, v), (height, width) = found.offset, found.depth.shape
+    hole = hole[v : v + height, u : u + width]
+    inside, around = binary_erosion(hole, iterations=10), ~binary_dilation(hole, iterations=10)
+    assert inside.any()
+    assert (share[inside] == 1).all()
+    assert share[around & (found.depth == 0)].mean() < 0.15
+
+
+@pytest.mark.parametrize("sd", [0.0, 0.001, 0.005])
+@pytest.mark.parametrize("pixels", [0.0, 1.0], ids=["white", "smooth"])
+def test_the_noise_is_estimated_from_the_image(sd: float, pixels: float) -> None:
+    """On a tilted plane, with noise that neighbouring pixels share or do not, and on a hand.
+
+    How a surface bends within a few pixels cannot be told from noise.
+    """
+    scene, T = scene_of("ellipsoid")
+    tilted = plane_depth(CAMERA, np.array([0.4, 0.3, np.sqrt(0.75)]), T[2, 3])
+    white = np.random.default_rng(0).normal(size=tilted.shape)
+    noise = gaussian_filter(white, pixels) if pixels else white
+    noise *= sd / noise.std()
+    # Noise smoothed by one pixel still agrees by exp(-9 / 4) over three.
+    expected = sd * np.sqrt(1 - 4 / 3 * np.exp(-9 / 4)) if pixels else sd
+    assert seen(tilted + noise, T).noise == pytest.approx(expected, rel=0.05, abs=1e-5)
+    on_hand = seen(np.where(scene.depth > 0, scene.depth + noise, 0), T).noise
+    assert 0.85 * sd < on_hand < 1.15 * sd + 0.0005

@@ -2,11 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from held_object import HeldObject, distance_to_hand, held_object
-from reference_depth import rays
+from held_object import CAMERA, HeldObject, distance_to_hand, held_object
+from reference_depth import plane_depth, rays
 
-from inhand.config import SegmentationConfig
+from inhand.config import ObservationConfig, SegmentationConfig
 from inhand.errors import NoAnswer
+from inhand.geometry.se3 import transform
+from inhand.stages.observation import Observation, observe
 from inhand.stages.results import HandState, Segment
 from inhand.stages.segmentation import segment_object
 
@@ -143,3 +145,70 @@ def test_without_an_object_there_is_no_answer(config: SegmentationConfig) -> Non
     )
     with pytest.raises(NoAnswer, match="do not belong to it: the object is hidden"):
         segmented(replace(scene, observation=observation), config)
+
+
+# Surfaces that are too large for the object
+
+
+def before(scene: HeldObject, behind: np.ndarray) -> Observation:
+    """What the camera sees of the scene when there is a surface of this depth [m] as well."""
+    seen = (behind > 0) & ((scene.depth == 0) | (behind < scene.depth))
+    depth = np.where(seen, behind, scene.depth).astype(np.float32)
+    reach, diameter = scene.hand.hand.reach, scene.obj.model.diameter
+    T = scene.hand_state.T_camera_hand
+    return observe(depth, CAMERA, T, reach, diameter, ObservationConfig(), "cpu")
+
+
+def plane_beyond(scene: HeldObject, outward: np.ndarray, gap: float) -> np.ndarray:
+    """Depth [m] of the plane this far beyond the object's last point along `outward`."""
+    T = scene.T_camera_object
+    last = (transform(T, scene.obj.model.mesh.vertices) @ outward).max()
+    return plane_depth(CAMERA, outward, last + gap)
+
+
+@pytest.mark.parametrize("name", ["cuboid", "industrial_part", "cylinder"])
+@pytest.mark.parametrize("gap", [0.01, 0.03])
+@pytest.mark.parametrize("slope", [0.0, 0.7])
+def test_a_wall_behind_the_object_is_not_the_object(name: str, gap: float, slope: float) -> None:
+    scene = held_object(name)
+    wall = plane_beyond(scene, np.array([0, np.sin(slope), np.cos(slope)]), gap)
+    observation = before(scene, wall)
+    diameter = scene.obj.model.diameter
+    walled = replace(scene, observation=observation)
+    found = segmented(walled, SOFT, size=diameter)
+    right = on_object(scene, found.points)
+    assert found.weight[right].sum() > 0.9 * found.weight.sum()
+    alone = segmented(scene, SOFT, size=diameter)
+    assert right.sum() > 0.9 * on_object(scene, alone.points).sum()
+    # It is more than half of what there is without the hand.
+    kept = segmented(walled, replace(SOFT, max_length=100), size=diameter)
+    assert on_object(scene, kept.points).mean() < 0.5
+
+
+def test_an_object_ends_where_it_stands_on_a_table() -> None:
+    """The table is the plane of the cuboid's face that looks away from the camera most."""
+    scene = held_object("cuboid")
+    axes = scene.T_camera_object[:3, :3].T
+    outward = max([*axes, *-axes], key=lambda axis: axis @ scene.T_camera_object[:3, 3])
+    on_table = replace(scene, observation=before(scene, plane_beyond(scene, outward, 0.0)))
+    diameter = scene.obj.model.diameter
+    found = segmented(on_table, SOFT, size=diameter)
+    right = on_object(scene, found.points)
+    assert found.weight[right].sum() > 0.85 * found.weight.sum()
+    alone = on_object(scene, segmented(scene, SOFT, size=diameter).points).sum()
+    assert right.sum() > 0.9 * alone
+    # If creases did not count, it would be one surface with the table.
+    joined = segmented(on_table, replace(SOFT, crease=10), size=diameter)
+    assert on_object(scene, joined.points).sum() < 0.1 * alone
+
+
+def test_a_surface_no_longer_than_the_object_stays() -> None:
+    """A plate of 12 cm behind the object."""
+    scene = held_object("cuboid")
+    wall = plane_beyond(scene, np.array([0, 0, 1.0]), 0.02)
+    beside = rays(CAMERA) * wall[..., None] - scene.T_camera_object[:3, 3]
+    plate = np.where((np.abs(beside[..., :2]) < 0.06).all(axis=-1), wall, 0)
+    seen = replace(scene, observation=before(scene, plate))
+    kept, removed = (segmented(seen, SOFT, size=size) for size in (0.12, 0.10))
+    assert on_object(scene, kept.points).mean() < 0.7
+    assert on_object(scene, removed.points).mean() > 0.95

@@ -76,6 +76,8 @@ class ObservationConfig(Section):
     """A neighbour whose depth differs by more than this times `normal_window` is left out."""
     missing_window: int = 9
     """Radius of the window that tells small holes from areas without any reading [pixel]."""
+    noise_spacing: int = 3
+    """Distance of the readings that the image's noise is estimated from [pixel]."""
     min_points: int = 50
     """Fewer readings in the region of interest than this: no answer."""
 
@@ -139,6 +141,8 @@ class HandStateConfig(Section):
     """Depth agreement during the search [m]."""
     fine_tolerance: float = 0.004
     """Depth agreement when refined configurations are compared [m]."""
+    noise_tolerance: NonNegative = 2.0
+    """Depth agreement at least, in standard deviations of the image's noise."""
     violation: NonNegative = 2.0
     """Penalty of a surface point that the camera looked through, in units of one agreeing point."""
     missing: NonNegative = 0.5
@@ -207,6 +211,13 @@ class SegmentationConfig(Section):
     """`soft`: weight of a point that only a link without support in the image explains."""
     certain_distance: float = 0.006
     """`soft`: from this distance on a point is certainly not the hand's [m]."""
+    max_length: float = 1.15
+    """`soft`: a connected surface that is longer, in object diameters, is background."""
+    surface_step: float = 0.003
+    """`soft`: a surface ends where the next point is farther than this from its tangent plane; so
+    near the plane of the next background, a point is background [m]."""
+    crease: NonNegative = 0.25
+    """`soft`: and where it bends towards the camera by more than this from cell to cell [rad]."""
     dense_below: int = 400
     """`soft`: a segment of fewer points is taken again from every pixel."""
     min_points: int = 20

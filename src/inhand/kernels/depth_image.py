@@ -131,15 +131,18 @@ def missing_share(
     width: int,
     height: int,
     radius: int,
+    usual: float,
     share: wp.array(dtype=float),
     first: int,
 ):
     """One work item a column: share of pixels without a reading in the square of `radius` [pixel].
 
-    Small holes are sensor noise; a wide area without readings is most likely empty.
+    Small holes are sensor noise; a wide area without readings is most likely empty. Where surfaces
+    have holes all over, only what is missing beyond that says so.
 
     Args (beyond the obvious):
         in_rows: result of `missing_in_rows`.
+        usual: share below 1 that counts as none; from there to 1 the result goes from 0 to 1.
         share: out, 0 at pixels with a reading.
     """
     u = first + wp.tid()
@@ -155,4 +158,5 @@ def missing_share(
             share[i] = 0.0
             if depth[i] <= 0.0:
                 down = wp.min(v + radius, height - 1) - wp.max(v - radius, 0) + 1
-                share[i] = float(missing) / float(across * down)
+                found = float(missing) / float(across * down)
+                share[i] = wp.max(0.0, (found - usual) / (1.0 - usual))

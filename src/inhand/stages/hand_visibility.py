@@ -28,6 +28,7 @@ class HandVisibility:
     def __init__(self, observation: Observation, hand: PackedHand, config: HandStateConfig) -> None:
         self._config = config
         self._view = depth_view(observation)
+        self._noise = config.noise_tolerance * observation.noise
         coarse = observation.camera.subsampled(config.render_step)
         self._nothing = wp.zeros(coarse.width * coarse.height, dtype=float, device=hand.device)
 
@@ -48,12 +49,12 @@ class HandVisibility:
             T_camera_hand: wrist poses, shape (c, 4, 4), or (1, 4, 4) for all.
             others: rendered depth [m] of other parts of the hand, on the device, at every
                 `render_step`-th pixel; what they hide or explain does not count.
-            tolerance: depth agreement [m]; by default the fine one.
+            tolerance: depth agreement [m], by default the fine one; more if the image is noisy.
             points: surface samples of every link that are used at most.
         """
         device, config, count = part.device, self._config, len(q)
         rule = Visibility()
-        rule.tolerance = tolerance or config.fine_tolerance
+        rule.tolerance = max(tolerance or config.fine_tolerance, self._noise)
         rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
         samples = int(np.minimum(part.counts, points or part.counts).sum())
         score, seen = (wp.empty(count, dtype=float, device=device) for _ in range(2))

@@ -18,6 +18,8 @@ from inhand.kernels.launch import launch
 
 NEAREST = 1e-3
 """Smaller depths are no readings [m]; their inverses would overflow."""
+EVERY = 5
+"""Every so-many-th reading is looked at for what holds all over the image."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,8 @@ class Observation:
     normals_on_device: Any = field(repr=False)
     """Normals of all its pixels, flat `wp.array` of vec3, 0 where unknown."""
     missing_on_device: Any = field(repr=False)
-    """Share of missing readings around every pixel without a reading, flat `wp.array`."""
+    """Share of missing readings, beyond what is usual around readings, around every pixel without
+    one, flat `wp.array`."""
     smooth: NDArray[np.float32] = field(repr=False)
     """Depth of the surface estimated at every pixel [m], shape (h, w), 0 without a reading."""
     sphere: tuple[NDArray[np.float64], float]
@@ -56,6 +59,10 @@ class Observation:
     """Unit normals of the scene cloud towards the camera, shape (n, 3)."""
     T_camera_hand: NDArray[np.float64]
     """The wrist pose as given, shape (4, 4)."""
+    step: int
+    """The scene cloud is made of every so-many-th pixel, along either side."""
+    noise: float
+    """Standard deviation of the depth readings [m], estimated from the image."""
 
     @cached_property
     def every_pixel(self) -> Cloud:
@@ -123,7 +130,21 @@ def observe(
         points=cloud.points,
         normals=cloud.normals,
         T_camera_hand=T_camera_hand,
+        step=step,
+        noise=_noise(window, inside, config.noise_spacing),
     )
+
+
+def _noise(depth: NDArray[np.float32], inside: NDArray[np.bool_], apart: int) -> float:
+    """Standard deviation of readings [m]: how far the middle of three is off the outer two's line.
+
+    Neighbouring pixels share much of their error, so the three are `apart` pixels from each other.
+    """
+    left, middle, right = (slice(None, -2 * apart), slice(apart, -apart), slice(2 * apart, None))
+    rows = slice(None, None, 2)
+    every = inside[rows, left] & inside[rows, middle] & inside[rows, right]
+    bend = (depth[rows, left] - 2 * depth[rows, middle] + depth[rows, right])[every]
+    return float(1.4826 / np.sqrt(6) * np.median(np.abs(bend))) if len(bend) else 0.0
 
 
 def _surfaces(
@@ -132,31 +153,26 @@ def _surfaces(
     """Smoothed depth [m] and normals of a flat image on the device, 0 where there are none."""
     smooth = wp.empty(len(depth), dtype=float, device=device)
     normals = wp.empty(len(depth), dtype=wp.vec3, device=device)
-    launch(
-        fit_planes,
-        len(depth),
-        [pinhole(roi), depth, config.normal_window, config.normal_gate, far, smooth, normals],
-        device,
-        work_per_item=25,
-    )
+    window = [config.normal_window, config.normal_gate, far]
+    inputs = [pinhole(roi), depth, *window, smooth, normals]
+    launch(fit_planes, len(depth), inputs, device, work_per_item=25)
     return smooth, normals
 
 
 def _missing_share(depth: Any, roi: Camera, radius: int, device: str) -> Any:
-    """Share of missing readings around every pixel without one, flat, on the device."""
+    """Share of missing readings around every pixel without one, flat, on the device.
+
+    It counts from what is usual around pixels with a reading.
+    """
     in_rows = wp.empty(len(depth), dtype=int, device=device)
     share = wp.empty(len(depth), dtype=float, device=device)
     size = [roi.width, roi.height, radius]
-    launch(
-        missing_in_rows, roi.height, [depth, *size, in_rows], device, work_per_item=2 * roi.width
-    )
-    launch(
-        missing_share,
-        roi.width,
-        [depth, in_rows, *size, share],
-        device,
-        work_per_item=2 * roi.height,
-    )
+    rows = [depth, *size, in_rows]
+    launch(missing_in_rows, roi.height, rows, device, work_per_item=2 * roi.width)
+    around_readings = in_rows.numpy()[depth.numpy() > 0]
+    usual = float(np.median(around_readings[::EVERY])) / (2 * radius + 1)
+    columns = [depth, in_rows, *size, usual, share]
+    launch(missing_share, roi.width, columns, device, work_per_item=2 * roi.height)
     return share
 
 

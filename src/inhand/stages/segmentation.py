@@ -9,6 +9,7 @@ from inhand.errors import NoAnswer
 from inhand.kernels.hand_fit import hand_distances
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, device_poses
+from inhand.stages.background import Background
 from inhand.stages.observation import Cloud, Observation
 from inhand.stages.results import HandState, Segment
 
@@ -24,17 +25,24 @@ def segment_object(
 
     The paper drops every point nearer than 3 mm to the hand (SDF(p, x_H) < epsilon); `none` keeps
     the whole scene cloud. By default points near the hand keep a weight that grows with their
-    distance, so that the contact zone still counts, and a small segment takes every pixel. Points
+    distance, so that the contact zone still counts, surfaces that are too large for the object are
+    dropped, and a small segment takes every pixel. Points
     too far from all fingers to be on an object they hold are dropped.
 
     Raises:
         NoAnswer: too few points are left.
     """
-    segment = _segment(
-        Cloud(observation.points, observation.normals), hand_state, hand, object_diameter, config
-    )
-    if config.method == "soft" and len(segment.points) < config.dense_below:
-        segment = _segment(observation.every_pixel, hand_state, hand, object_diameter, config)
+    cloud, soft = Cloud(observation.points, observation.normals), config.method == "soft"
+    if soft:
+        links, near = np.ones(len(hand.hand.links), dtype=bool), 2 * config.hand_distance
+        to_hand = distances_to_hand(cloud.points, hand_state, hand, links, near)
+        is_hand = to_hand < config.hand_distance
+        background = Background(observation, is_hand, object_diameter, config)
+        cloud = background.removed_from(cloud)
+    segment = _segment(cloud, hand_state, hand, object_diameter, config)
+    if soft and len(segment.points) < config.dense_below:
+        cloud = background.removed_from(observation.every_pixel)
+        segment = _segment(cloud, hand_state, hand, object_diameter, config)
     if segment.weight.sum() < config.min_points:
         raise NoAnswer(
             f"only {len(segment.points)} depth readings near the hand do not belong to it: the "
@@ -88,19 +96,9 @@ def distances_to_hand(
     """Signed distances (n,) [m] of points (n, 3) to some links, cut off at `farthest`."""
     device, n = hand.device, len(points)
     distance = wp.empty(n, dtype=float, device=device)
-    launch(
-        hand_distances,
-        n,
-        [
-            wp.array(points, dtype=wp.vec3, device=device),
-            hand.fields,
-            hand.spheres,
-            device_poses(hand_state.T_camera_link, device),
-            wp.array(links.astype(np.int32), dtype=int, device=device),
-            farthest,
-            distance,
-        ],
-        device,
-        work_per_item=10,
-    )
+    poses = device_poses(hand_state.T_camera_link, device)
+    used = wp.array(links.astype(np.int32), dtype=int, device=device)
+    inputs = [wp.array(points, dtype=wp.vec3, device=device), hand.fields, hand.spheres]
+    inputs += [poses, used, farthest, distance]
+    launch(hand_distances, n, inputs, device, work_per_item=10)
     return np.asarray(distance.numpy())
