@@ -335,11 +335,11 @@ class ClusteringConfig(Section):
     """`se3`: the paper's, Euclidean then geodesic; `distinct`: greedy by score."""
     tolerance: float = 0.006
     """`distinct`: depth agreement of a model point with its pixel [m]."""
-    model_points: int = 200
+    model_points: int = 100
     """`distinct`: model points in that scoring."""
-    contact_points: int = 48
+    contact_points: int = 32
     """`distinct`: model points held against the hand."""
-    segment_points: int = 200
+    segment_points: int = 100
     """`distinct`: segment points in that scoring."""
     surface_distance: float = 0.002
     """`distinct`: poses whose surfaces are farther apart on average are distinct [m]."""
