@@ -361,7 +361,7 @@ class RefinementConfig(Section):
     """Iterations; `field`: of the poses that are kept."""
     segment_points: int = 300
     """`field`: segment points used in the scoring before these."""
-    model_points: int = 300
+    model_points: int = 800
     """`field`: model points used in it and, with as many segment points, in these."""
     rough_iterations: int = 4
     """`field`: iterations of all poses before."""
