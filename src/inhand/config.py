@@ -449,13 +449,13 @@ class SelectionConfig(Section):
     """A pose whose surface is farther from the first one's on average is a rival [m]."""
     max_lead: float = 0.3
     """A larger lead in score over the best rival says nothing more."""
-    confidence_bias: Real = -3.5
+    confidence_bias: Real = -1.6
     """Log odds that a pose of score 0 without a lead is right. This and the two below are a
-    logistic regression over 414 frames of two hands with twelve objects and, at a quarter of the
-    weight, 108 of them with the model of another object."""
-    confidence_fit: float = 2.0
+    logistic regression over 415 frames of two hands with twelve objects and, at a quarter of the
+    weight, 107 of them with the model of another object."""
+    confidence_fit: float = 2.2
     """Log odds per unit of score."""
-    confidence_lead: float = 7.0
+    confidence_lead: float = 2.8
     """Log odds per unit of the lead's square root."""
     candidates: int = 10
     """Ranked alternatives reported."""
