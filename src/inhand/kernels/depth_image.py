@@ -7,12 +7,6 @@ from inhand.kernels.depth import Pinhole
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.func
-def back_project(camera: Pinhole, u: float, v: float, z: float):
-    """The point [m] of the camera frame at pixel (u, v) and depth z."""
-    return wp.vec3((u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z)
-
-
 @wp.kernel
 def fit_planes(
     camera: Pinhole,
