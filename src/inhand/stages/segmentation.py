@@ -13,6 +13,9 @@ from inhand.stages.background import Background
 from inhand.stages.observation import Cloud, Observation
 from inhand.stages.results import HandState, Segment
 
+FAR = 0.03
+"""Distances to the hand are cut off here [m]: farther away, nothing depends on them."""
+
 
 def segment_object(
     observation: Observation,
@@ -26,8 +29,8 @@ def segment_object(
     The paper drops every point nearer than 3 mm to the hand (SDF(p, x_H) < epsilon); `none` keeps
     the whole scene cloud. By default points near the hand keep a weight that grows with their
     distance, so that the contact zone still counts, surfaces that are too large for the object are
-    dropped, and a small segment takes every pixel. Points
-    too far from all fingers to be on an object they hold are dropped.
+    dropped, and a small segment takes every pixel. Points too far from all fingers to be on an
+    object they hold are dropped.
 
     Raises:
         NoAnswer: too few points are left.
@@ -59,10 +62,11 @@ def _segment(
     config: SegmentationConfig,
 ) -> Segment:
     """The points of the cloud that the hand does not explain."""
-    farthest = 2 * object_diameter
-    moving = ~hand.is_palm
-    to_certain = distances_to_hand(cloud.points, hand_state, hand, hand_state.certain, farthest)
-    to_finger = distances_to_hand(cloud.points, hand_state, hand, moving, farthest)
+    # An object that a finger touches ends within its diameter of that finger.
+    reach = object_diameter + config.certain_distance
+    certain, moving = hand_state.certain, ~hand.is_palm
+    to_certain = distances_to_hand(cloud.points, hand_state, hand, certain, FAR)
+    to_finger = distances_to_hand(cloud.points, hand_state, hand, moving, 1.01 * reach)
     to_hand = np.minimum(to_certain, to_finger)
     if config.method == "none":
         weight = np.ones(len(cloud.points), dtype=np.float32)
@@ -73,8 +77,7 @@ def _segment(
     else:
         distance, share = to_certain, config.uncertain_weight
         weight = _not_hand(distance, config) * (share + (1 - share) * _not_hand(to_hand, config))
-    # An object that a finger touches ends within its diameter of that finger.
-    weight[to_finger > object_diameter + config.certain_distance] = 0.0
+    weight[to_finger > reach] = 0.0
     keep = weight > 0
     return Segment(cloud.points[keep], cloud.normals[keep], distance[keep], weight[keep])
 
