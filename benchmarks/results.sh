@@ -43,6 +43,8 @@ others() {
   slow=super4pcs,super4pcs+hs,super4pcs+hs+icp,super4pcs+icp+mask,$(variants kiss-matcher)
   slow+=,icp-from-truth,ablation
   on_synthetic others --methods "$fast,$slow" --every 21
+  on_synthetic others --every 7 \
+    --methods fgr+hs,fpfh-ransac+hs,opencv-ppf+hs,super4pcs+hs+icp,kiss-matcher+hs
   on_dev others --methods "$fast" --every 3
   on_dev others --methods "$slow" --every 5
 }
