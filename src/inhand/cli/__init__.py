@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from inhand.cli import bench, demo, estimate, report, synth, warmup
+from inhand.cli import bench, demo, estimate, report, run, synth, warmup
 from inhand.errors import InputError
 
 FOUND, NOT_FOUND, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -20,6 +20,7 @@ _RUN: dict[type, Callable[[Any], int | None]] = {
     estimate.Estimate: estimate.run,
     bench.Bench: bench.run,
     report.Report: report.run,
+    run.Run: run.run,
     synth.Synth: synth.run,
     warmup.Warmup: warmup.run,
 }
@@ -28,6 +29,7 @@ _Command = (
     | Annotated[estimate.Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[bench.Bench, tyro.conf.subcommand("bench")]
     | Annotated[report.Report, tyro.conf.subcommand("report")]
+    | Annotated[run.Run, tyro.conf.subcommand("run")]
     | Annotated[synth.Synth, tyro.conf.subcommand("synth")]
     | Annotated[warmup.Warmup, tyro.conf.subcommand("warmup")]
 )
