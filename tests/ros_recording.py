@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from rosbags import rosbag1, rosbag2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from inhand.camera import Camera
@@ -37,6 +37,9 @@ class Messages:
         self.kind = kind
         store = Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE
         self.types = get_typestore(store)
+        if kind == "ros1":
+            text = "geometry_msgs/TransformStamped[] transforms"
+            self.types.register(get_types_from_msg(text, "tf2_msgs/msg/TFMessage"))
 
     def make(self, name: str, **fields: Any) -> Any:
         return self.types.types[name](**fields)
@@ -140,9 +143,17 @@ def recording_path(folder: Path, kind: BagKind, name: str = "recording") -> Path
 
 
 def write_recording(
-    folder: Path, kind: BagKind, make: Callable[[Messages], list[Sent]], name: str = "recording"
+    folder: Path,
+    kind: BagKind,
+    make: Callable[[Messages], list[Sent]],
+    name: str = "recording",
+    *,
+    packed: bool = False,
 ) -> Path:
-    """Write what `make` makes, in order of time; returns the recording's path."""
+    """Write what `make` makes, in order of time; returns the recording's path.
+
+    Packed: in compressed chunks, which SQLite does not have.
+    """
     messages = Messages(kind)
     path = recording_path(folder, kind, name)
     writer = (
@@ -150,6 +161,10 @@ def write_recording(
         if kind == "ros1"
         else rosbag2.Writer(path, version=9, storage_plugin=PLUGIN[kind])
     )
+    if packed and isinstance(writer, rosbag1.Writer):
+        writer.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
+    elif packed and isinstance(writer, rosbag2.Writer) and kind == "mcap":
+        writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
     connections: dict[str, Any] = {}
     types = messages.types
     serialise = types.serialize_ros1 if kind == "ros1" else types.serialize_cdr

@@ -52,8 +52,7 @@ class IndexedBag:
     def __init__(self, path: Path, kind: BagKind) -> None:
         self.kind = kind
         self._path = path
-        self._reader = rosbag1.Reader(path) if kind == "ros1" else rosbag2.Reader(path)
-        self._reader.open()
+        self._reader = self._open()
         counts: dict[str, int] = {}
         for c in self._reader.connections:
             counts[c.topic] = counts.get(c.topic, 0) + c.msgcount
@@ -68,6 +67,8 @@ class IndexedBag:
             for connection, time_ns, data in self._reader.messages(connections):
                 yield Message(connection.topic, connection.msgtype, time_ns, data)
         except Exception as error:  # as above
+            self._reader.close()
+            self._reader = self._open()  # the ROS 1 reader does not survive damage
             raise DamagedRecording(
                 f"{self._path} is damaged, and was read up to there: {error or repr(error)}"
             ) from error
@@ -75,3 +76,9 @@ class IndexedBag:
     def close(self) -> None:
         """See `Bag.close`."""
         self._reader.close()
+
+    def _open(self) -> rosbag1.Reader | rosbag2.Reader:
+        path = self._path
+        reader = rosbag1.Reader(path) if self.kind == "ros1" else rosbag2.Reader(path)
+        reader.open()
+        return reader

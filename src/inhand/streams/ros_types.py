@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from inhand.errors import InputError
@@ -19,7 +19,12 @@ EARLY_TRANSFORMS = "tf/msg/tfMessage"
 
 def standard_types(kind: BagKind) -> Typestore:
     """The messages that come with ROS; those used here are the same in all releases of ROS 2."""
-    return get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    types = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    if TRANSFORMS not in types.types:  # a package of its own in ROS 1
+        types.register(
+            get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS)
+        )
+    return types
 
 
 class Decoder:

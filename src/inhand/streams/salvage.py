@@ -20,12 +20,13 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from inhand.streams.bag import BagKind, DamagedRecording, Message, Topic
 
+# Each unpacks what there is of a block that is cut short.
 UNPACK: dict[str, Callable[[bytes], bytes]] = {
     "": bytes,
     "none": bytes,
-    "bz2": bz2.decompress,
-    "lz4": lz4.frame.decompress,
-    "zstd": zstd.decompress,
+    "bz2": lambda data: bz2.BZ2Decompressor().decompress(data),
+    "lz4": lambda data: lz4.frame.LZ4FrameDecompressor().decompress(data),
+    "zstd": lambda data: zstd.ZstdDecompressor().decompress(data),
 }
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -82,18 +83,20 @@ def salvage(files: list[Path], kind: BagKind, reason: str) -> SalvagedBag | None
 
 
 def scan_ros1(path: Path) -> Iterator[Message]:
-    """The messages of a ROS 1 bag up to the first chunk that is not whole."""
+    """The messages of a ROS 1 bag up to the first that is not whole."""
     with path.open("rb") as file:
         if file.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
             raise Broken
         connections: dict[bytes, tuple[str, str]] = {}
         while True:
-            header, data = _ros1_record(file)
+            header, size = _ros1_header(file)
+            data = file.read(size)  # all there is of it
             if header["op"] != b"\x05":  # a chunk; messages and connections are in those
                 continue
             chunk = io.BytesIO(UNPACK[header["compression"].decode()](data))
             while chunk.tell() < len(chunk.getbuffer()):
-                header, data = _ros1_record(chunk)
+                header, size = _ros1_header(chunk)
+                data = _exactly(chunk, size)
                 if header["op"] == b"\x07":
                     fields = _ros1_fields(data)
                     kind = normalize_msgtype(fields["type"].decode())
@@ -104,8 +107,10 @@ def scan_ros1(path: Path) -> Iterator[Message]:
                     yield Message(topic, kind, seconds * 10**9 + nanoseconds, data)
 
 
-def _ros1_record(file: BinaryIO) -> tuple[dict[str, bytes], bytes]:
-    return _ros1_fields(_sized(file, "<I")), _sized(file, "<I")
+def _ros1_header(file: BinaryIO) -> tuple[dict[str, bytes], int]:
+    """A record's header, and the length of its data, which follow."""
+    header = _ros1_fields(_sized(file, "<I"))
+    return header, _number(file, "<I")
 
 
 def _ros1_fields(data: bytes) -> dict[str, bytes]:
@@ -123,7 +128,7 @@ class _Channel(NamedTuple):
 
 
 def scan_mcap(path: Path) -> Iterator[Message]:
-    """The messages of a ROS 2 MCAP file up to the first chunk that is not whole."""
+    """The messages of a ROS 2 MCAP file up to the first that is not whole."""
     with path.open("rb") as file:
         if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             raise Broken
@@ -145,21 +150,22 @@ def scan_mcap(path: Path) -> Iterator[Message]:
 def _mcap_records(file: BinaryIO) -> Iterator[tuple[int, io.BytesIO]]:
     """Code and content of each record; those in a chunk instead of the chunk."""
     while True:
-        code = _exactly(file, 1)[0]
-        record = io.BytesIO(_sized(file, "<Q"))
+        code, size = _exactly(file, 1)[0], _number(file, "<Q")
         if code != 0x06:
-            yield code, record
+            yield code, io.BytesIO(_exactly(file, size))
             continue
+        record = io.BytesIO(file.read(size))  # all there is of it
         _exactly(record, 28)  # times, size and checksum
-        packing = _sized(record, "<I").decode()
-        chunk = io.BytesIO(UNPACK[packing](_sized(record, "<Q")))
+        unpack = UNPACK[_sized(record, "<I").decode()]
+        _number(record, "<Q")
+        chunk = io.BytesIO(unpack(record.read()))
         while chunk.tell() < len(chunk.getbuffer()):
             code = _exactly(chunk, 1)[0]
             yield code, io.BytesIO(_sized(chunk, "<Q"))
 
 
 def scan_sqlite3(path: Path) -> Iterator[Message]:
-    """The messages of a ROS 2 database up to the first page that is missing."""
+    """The messages of a ROS 2 database up to the first that is not whole."""
     with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as database:
         # With this, SQLite opens a file that is shorter than it says.
         database.execute("PRAGMA writable_schema=ON")
@@ -182,8 +188,12 @@ SCANNERS: dict[BagKind, Callable[[Path], Iterator[Message]]] = {
 
 def _sized(file: BinaryIO, size: str) -> bytes:
     """A block with its length before it, of the type `size`."""
-    (length,) = struct.unpack(size, _exactly(file, struct.calcsize(size)))
-    return _exactly(file, length)
+    return _exactly(file, _number(file, size))
+
+
+def _number(file: BinaryIO, kind: str) -> int:
+    (number,) = struct.unpack(kind, _exactly(file, struct.calcsize(kind)))
+    return int(number)
 
 
 def _exactly(file: BinaryIO, length: int) -> bytes:
