@@ -147,6 +147,7 @@ def test_mount_between_tf_and_the_hand(tmp_path: Path) -> None:
     mounted = frames(open_source(path, replace(CONFIG, T_frame_hand=T)))
     for a, b in zip(plain, mounted, strict=True):
         assert a.T_camera_hand is not None
+        assert b.T_camera_hand is not None
         np.testing.assert_allclose(b.T_camera_hand, a.T_camera_hand @ T, atol=1e-9)
 
 

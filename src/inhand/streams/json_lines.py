@@ -25,11 +25,11 @@ class JsonLines:
         self._path = path
         self._whole = 0
         """Bytes of whole lines."""
+        if path.exists():
+            raise InputError(f"{path} exists already: remove it, or name another")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb", buffering=0)
-        except FileExistsError as error:
-            raise InputError(f"{path} exists already: remove it, or name another") from error
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror or error}") from error
 

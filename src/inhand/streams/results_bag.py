@@ -32,6 +32,8 @@ class ResultsBag:
     """
 
     def __init__(self, path: Path, kind: BagKind, obj: ObjectModel) -> None:
+        if path.exists():
+            raise InputError(f"{path} exists already: remove it, or name another")
         if kind == "ros1" and path.suffix != ".bag":
             raise InputError(f"the name of a ROS 1 bag ends in .bag, got {path}")
         types = standard_types(kind)
@@ -47,8 +49,6 @@ class ResultsBag:
                 topic: self._writer.add_connection(topic, name, typestore=types)
                 for topic, name in TYPE_OF_TOPIC.items()
             }
-        except (rosbag1.WriterError, rosbag2.WriterError) as error:
-            raise InputError(f"{path} exists already: remove it, or name another") from error
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror or error}") from error
 

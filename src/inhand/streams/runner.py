@@ -161,13 +161,14 @@ def _count(counts: Counts, result: Result) -> Counts:
 
 
 def _finish(outputs: Sequence[Output], summary: Summary) -> None:
-    """Finish all outputs, also when one of them cannot be."""
+    """Finish all outputs, the first at the end: it then knows if another could not be."""
     errors = []
-    for output in outputs:
+    for output in reversed(outputs):
         try:
             output.finish(summary)
         except InputError as error:
             errors.append(error)
+            summary = replace(summary, stopped=summary.stopped or str(error))
     if errors:
         raise errors[0]
 
