@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -81,13 +80,13 @@ class FakeSource:
         pass
 
 
-def found(depth: Any = None, camera: Any = None, T_camera_hand: Any = None) -> PoseEstimate:
+def found(frame: Frame | None = None) -> PoseEstimate:
     return PoseEstimate(
         True, "", T_OBJECT, {"bend": 0.5, "twist": -0.1}, T_HAND, 0.75, timings={"wrist": 0.0123}
     )
 
 
-def not_found(depth: Any, camera: Any, T_camera_hand: Any) -> PoseEstimate:
+def not_found(frame: Frame) -> PoseEstimate:
     return PoseEstimate(False, "the object is hidden", None, {"bend": 0.5}, T_HAND, 0.0)
 
 

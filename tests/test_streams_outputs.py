@@ -25,6 +25,7 @@ from inhand.streams.json_lines import JsonLines
 from inhand.streams.results_bag import ResultsBag
 from inhand.streams.ros_types import standard_types
 from inhand.streams.runner import Output, run
+from inhand.streams.source import Frame
 from inhand.streams.vision_messages import DETECTIONS, add_vision_messages
 from inhand.synth.demo import builtin_object
 
@@ -149,8 +150,8 @@ def test_results_bag(tmp_path: Path, kind: BagKind) -> None:
     T = exp(np.array([0.4, -0.9, 2.0, 0.01, -0.02, 0.5]))
     path = recording_path(tmp_path, kind)
 
-    def estimate(depth: Any, camera: Any, T_hand: Any) -> Any:
-        return replace(found(), T_camera_object=T) if depth[0, 0] < 1 else not_found(0, 0, 0)
+    def estimate(frame: Frame) -> Any:
+        return replace(found(), T_camera_object=T) if frame.name == "0" else not_found(frame)
 
     run(FakeSource([0, 33, 66], without_wrist=[2]), estimate, [ResultsBag(path, kind, OBJECT)])
     messages = read_back(path, kind)

@@ -13,6 +13,7 @@ from inhand.errors import InputError
 from inhand.estimate import PoseEstimate
 from inhand.streams.replay import in_real_time
 from inhand.streams.runner import Counts, Result, run
+from inhand.streams.source import Frame
 
 
 class Slow:
@@ -21,7 +22,7 @@ class Slow:
     def __init__(self, clock: FakeClock, seconds: float) -> None:
         self.clock, self.seconds = clock, seconds
 
-    def __call__(self, depth: Any, camera: Any, T: Any) -> PoseEstimate:
+    def __call__(self, frame: Frame) -> PoseEstimate:
         self.clock.time += self.seconds
         return found()
 
@@ -90,10 +91,10 @@ def test_a_rate_is_positive(rate: float) -> None:
 def test_images_that_cannot_be_estimated_are_reported_and_counted() -> None:
     source = FakeSource(range(5), without_wrist=[1], unreadable=[3])
 
-    def estimate(depth: Any, camera: Any, T: Any) -> PoseEstimate:
-        if depth[0, 0] > 4:
+    def estimate(frame: Frame) -> PoseEstimate:
+        if frame.name == "4":
             raise InputError("the median depth is 4500 m")
-        return not_found(depth, camera, T) if depth[0, 0] > 2 else found()
+        return not_found(frame) if frame.name == "2" else found()
 
     output, reports = Kept(), list[Counts]()
     summary = run(source, estimate, [output], report=reports.append)
@@ -153,8 +154,8 @@ def test_all_outputs_are_finished_when_one_cannot_be() -> None:
 
 
 def test_ctrl_c_between_images_finishes_the_outputs() -> None:
-    def estimate(depth: Any, camera: Any, T: Any) -> PoseEstimate:
-        if depth[0, 0] > 2:
+    def estimate(frame: Frame) -> PoseEstimate:
+        if frame.name == "2":
             os.kill(os.getpid(), signal.SIGINT)
         return found()
 
@@ -181,7 +182,7 @@ def test_ctrl_c_while_writing_waits_for_the_whole_result() -> None:
 
 
 def test_a_bug_in_the_estimator_finishes_the_outputs() -> None:
-    def broken(depth: Any, camera: Any, T: Any) -> PoseEstimate:
+    def broken(frame: Frame) -> PoseEstimate:
         raise RuntimeError("a bug")
 
     output = Kept()

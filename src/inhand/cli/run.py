@@ -119,7 +119,7 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
         with _progress(source, console) as report:
             return runner.run(
                 source,
-                estimator.estimate,
+                lambda frame: estimator.estimate(frame.depth, frame.camera, frame.T_camera_hand),
                 outputs,
                 rate=args.rate,
                 limit=args.limit,

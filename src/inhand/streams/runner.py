@@ -8,16 +8,14 @@ from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from typing import Any, Protocol
 
-from numpy.typing import NDArray
-
-from inhand.camera import Camera
 from inhand.errors import InputError
 from inhand.estimate import PoseEstimate
 from inhand.streams.replay import Clock, SystemClock, in_real_time
 from inhand.streams.source import Arrival, Frame, Source
 
-Estimate = Callable[[NDArray[Any], Camera, NDArray[Any]], PoseEstimate]
-"""From depth, camera and T_camera_hand: `PoseEstimator.estimate` or `PoseTracker.update`."""
+Estimate = Callable[[Frame], PoseEstimate]
+"""Estimates an image whose depth and wrist pose are there: an estimator, or a tracker, which needs
+the time as well."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ def _process(arrival: Arrival, estimate: Estimate) -> Result:
     if frame.depth is None or frame.T_camera_hand is None:
         return Result(frame, _no_estimate(frame.problem), arrival.dropped)
     try:
-        answer = estimate(frame.depth, frame.camera, frame.T_camera_hand)
+        answer = estimate(frame)
     except InputError as error:
         frame = replace(frame, depth=None, problem=str(error))
         answer = _no_estimate(frame.problem)
