@@ -69,13 +69,18 @@ def test_images_in_the_order_of_their_numbers(tmp_path: Path, depth_folder: bool
 
 def test_times_and_images_without_pose(tmp_path: Path) -> None:
     folder = write_folder(tmp_path, ["0.png", "1.png", "2.png"])
-    write_poses(folder, {"0": pose(0, time=12.5), "2": pose(0, time=12.75)})
+    write_poses(folder, {"0": pose(0, time=12.5), "1": {"time": 12.6}, "2": pose(0, time=12.75)})
     found = frames(folder)
-    assert found[0].time_ns == 12_500_000_000
-    assert found[2].time_ns == 12_750_000_000
+    assert [f.time_ns for f in found] == [12_500_000_000, 12_600_000_000, 12_750_000_000]
     assert found[1].T_camera_hand is None
     assert found[1].depth is not None
-    assert found[1].problem == 'no wrist pose: hand_poses.json has no entry "1"'
+    assert found[1].problem == 'no wrist pose: hand_poses.json has none for "1"'
+
+
+def test_an_image_that_is_left_out_has_no_pose(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, ["0.png", "1.png"])
+    write_poses(folder, {"0": pose(0)})
+    assert [f.T_camera_hand is None for f in frames(folder)] == [False, True]
 
 
 def test_one_pose_for_all_and_camera_as_given(tmp_path: Path) -> None:
@@ -114,23 +119,26 @@ BAD = {
     "no camera": (no_camera, "camera.json"),
     "no pose": (lambda f: None, "tells no wrist pose: expected hand_poses.json or hand_pose.json"),
     "poses of others": (lambda f: write_poses(f, {"x": pose(0)}), 'such as "0"'),
-    "no matrix": (lambda f: write_poses(f, {"0": {}}), '"0" in .* must be an object with "T_camer'),
+    "no object": (lambda f: write_poses(f, {"0": 1}), '"0" in .* must be an object with "T_camera'),
     "no rigid pose": (
         lambda f: write_poses(f, {"0": {"T_camera_hand": np.zeros((4, 4)).tolist()}}),
         'T_camera_hand of "0"',
     ),
     "no JSON": (lambda f: (f / "hand_poses.json").write_text("{"), "is not JSON"),
     "a list": (lambda f: (f / "hand_poses.json").write_text("[]"), "must hold a JSON object"),
-    "no time": (lambda f: write_poses(f, {"0": pose(0, time="now")}), 'time of "0".*a number'),
+    "no time": (
+        lambda f: write_poses(f, {"0": pose(0, time="now"), "1": pose(0, time=1)}),
+        "a time in .* must be a number",
+    ),
     "some times": (
         lambda f: write_poses(f, {"0": pose(0, time=1), "1": pose(0)}),
-        'some entries .* have a "time"',
+        "tells the times of some images, but not of all",
     ),
     "times go back": (
         lambda f: write_poses(f, {"0": pose(0, time=2), "1": pose(0, time=1)}),
         "do not grow",
     ),
-    "two of a name": (two_of_a_name, 'several images .* are called "0"'),
+    "two of a name": (two_of_a_name, '2 images in .* are called "0"'),
 }
 
 

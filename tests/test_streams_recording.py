@@ -422,6 +422,16 @@ def test_recorder_that_was_killed_left_no_metadata(tmp_path: Path) -> None:
     assert len(found) == FRAMES
 
 
+def test_too_little_is_left_of_a_recording(tmp_path: Path) -> None:
+    """The damage is named with what is missing because of it."""
+    make = lambda m: [*everything(m), *images(m, "/z")]  # noqa: E731
+    path = write_recording(tmp_path, "ros1", make)
+    file = storage_file(path)
+    file.write_bytes(file.read_bytes()[:5000])
+    with pytest.raises(InputError, match=r"never finished.*could be read of it: .*no topic of dep"):
+        open_source(str(path), CONFIG)
+
+
 def test_no_such_source(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no recording"):
         open_source(str(tmp_path / "x.bag"), CONFIG)

@@ -116,6 +116,19 @@ def test_limit() -> None:
     assert summary.stopped == "after 2 images"
 
 
+def test_a_limit_is_positive() -> None:
+    with pytest.raises(InputError, match="at least 1 image"):
+        run(FakeSource(range(5)), found, [Kept()], limit=0)
+
+
+def test_a_camera_has_no_rate() -> None:
+    class Live(FakeSource):
+        count = None  # type: ignore[assignment]
+
+    with pytest.raises(InputError, match="real time already"):
+        run(Live(range(5)), found, [Kept()], rate=1.0)
+
+
 @pytest.mark.parametrize("rate", [None, 1000.0])
 def test_a_source_that_breaks_off(rate: float | None) -> None:
     output, clock = Kept(), FakeClock()

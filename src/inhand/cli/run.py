@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Run:
-    """Estimate every image of a folder, a ROS recording or a camera.
+    """Estimate the images of a folder, a ROS recording or a camera, one after the other.
 
     Writes one JSON object a line and image, and a summary as the last line. Exit code: 0 done,
     1 done but nothing was found, 2 bad input or the source broke off, 130 Ctrl-C; whatever was
@@ -29,8 +29,8 @@ class Run:
     """
 
     source: Annotated[str, tyro.conf.Positional]
-    """A folder of depth images; a ROS 1 bag, a ROS 2 bag's folder, or a .db3 or .mcap file;
-    `realsense` or `realsense:SERIAL`."""
+    """A folder of depth images, a scene of a BOP data set, a ROS 1 bag, a ROS 2 bag's folder, a
+    .db3 or .mcap file, `realsense`, or `realsense:SERIAL`."""
     hand: Path
     """URDF of the hand."""
     object: Path

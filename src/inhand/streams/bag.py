@@ -42,6 +42,8 @@ class Bag(Protocol):
 
     kind: BagKind
     topics: dict[str, Topic]
+    damage: str
+    """Why it could not be opened as a whole; empty if it could."""
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """The messages of some topics, in the order in which they were recorded.

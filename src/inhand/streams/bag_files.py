@@ -50,7 +50,7 @@ class IndexedBag:
     """
 
     def __init__(self, path: Path, kind: BagKind) -> None:
-        self.kind = kind
+        self.kind, self.damage = kind, ""
         self._path = path
         self._reader = self._open()
         counts: dict[str, int] = {}

@@ -11,6 +11,7 @@ FOLDER/
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -20,13 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
-from inhand.checks import finite_number
 from inhand.errors import InputError
 from inhand.geometry.se3 import check_rigid
 from inhand.io import read_depth, read_transform
 from inhand.streams.bag import BagKind
 from inhand.streams.config import StreamConfig
-from inhand.streams.pose_track import NS
+from inhand.streams.image_times import image_times
 from inhand.streams.source import Arrival, Frame
 
 SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy")
@@ -38,8 +38,13 @@ FRAME_ID = "camera"
 class Entry(NamedTuple):
     """What is known of an image."""
 
-    T_camera_hand: NDArray[np.float64]
-    time_ns: int | None
+    T_camera_hand: NDArray[np.float64] | None
+    """Wrist pose, shape (4, 4); None if unknown."""
+    time: Any
+    """[s]; None if unknown."""
+
+
+UNKNOWN = Entry(None, None)
 
 
 class Folder:
@@ -60,8 +65,8 @@ class Folder:
         self._images = find_images(path)
         self._camera = config.camera or Camera.from_json(path / CAMERA)
         self._entries, wrist_from = self._find_poses(path, config)
-        self._frame_rate = config.frame_rate
-        self._check_times()
+        told = [self._entries.get(image.stem, UNKNOWN).time for image in self._images]
+        self._times = image_times(told, config.frame_rate, str(path / POSES))
         self.count = len(self._images)
         self.description = (
             f"depth: {self.count} images in {self._images[0].parent}",
@@ -71,22 +76,20 @@ class Folder:
 
     def arrivals(self) -> Iterator[Arrival]:
         """See `source.Source.arrivals`."""
-        for number, image in enumerate(self._images):
-            time_ns = self._time_ns(number)
+        for image, time_ns in zip(self._images, self._times, strict=True):
             yield Arrival(time_ns, partial(self._frame, image, time_ns))
 
     def close(self) -> None:
         """See `source.Source.close`."""
 
     def _frame(self, image: Path, time_ns: int) -> Frame:
-        entry, depth, problem = self._entries.get(image.stem), None, ""
-        if entry is None:
-            problem = f'no wrist pose: {POSES} has no entry "{image.stem}"'
+        T, depth, problem = self._entries.get(image.stem, UNKNOWN).T_camera_hand, None, ""
+        if T is None:
+            problem = f'no wrist pose: {POSES} has none for "{image.stem}"'
         try:
             depth = read_depth(image, self._camera)
         except InputError as error:
             problem = str(error)
-        T = entry.T_camera_hand if entry else None
         return Frame(image.stem, time_ns, FRAME_ID, self._camera, depth, T, problem)
 
     def _find_poses(self, path: Path, config: StreamConfig) -> tuple[dict[str, Entry], str]:
@@ -108,20 +111,6 @@ class Folder:
             f"{path} tells no wrist pose: expected {POSES} or {POSE} in it, or --hand-pose FILE"
         )
 
-    def _check_times(self) -> None:
-        times = [entry.time_ns for i in self._images if (entry := self._entries.get(i.stem))]
-        told = [time for time in times if time is not None]
-        if told and len(told) < len(times):
-            raise InputError(f'some entries of {POSES} have a "time" and some have none')
-        if told != sorted(told):
-            raise InputError(f"the times in {POSES} do not grow with the images' names")
-
-    def _time_ns(self, number: int) -> int:
-        entry = self._entries.get(self._images[number].stem)
-        if entry is not None and entry.time_ns is not None:
-            return entry.time_ns
-        return round(number * NS / self._frame_rate)
-
 
 def is_folder_of_images(path: Path) -> bool:
     """Whether there are depth images in a folder."""
@@ -139,9 +128,9 @@ def find_images(path: Path) -> list[Path]:
         raise InputError(
             f"{path} holds no depth images: expected {', '.join(SUFFIXES)} in it or in {path}/depth"
         )
-    names = [image.stem for image in images]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f'several images in {images[0].parent} are called "{twice[0]}"')
+    name, count = Counter(image.stem for image in images).most_common(1)[0]
+    if count > 1:
+        raise InputError(f'{count} images in {images[0].parent} are called "{name}"')
     return images
 
 
@@ -163,12 +152,12 @@ def read_poses(path: Path) -> dict[str, Entry]:
 
 
 def _entry(value: Any, where: str) -> Entry:
-    if not isinstance(value, dict) or "T_camera_hand" not in value:
+    if not isinstance(value, dict):
         raise InputError(f'{where} must be an object with "T_camera_hand", a 4x4 matrix')
-    T = check_rigid(value["T_camera_hand"], f"T_camera_hand of {where}")
-    if "time" not in value:
-        return Entry(T, None)
-    return Entry(T, round(finite_number(value["time"], f"time of {where}") * NS))
+    T = value.get("T_camera_hand")
+    if T is not None:
+        T = check_rigid(T, f"T_camera_hand of {where}")
+    return Entry(T, value.get("time"))
 
 
 def _images_in(folder: Path) -> list[Path]:

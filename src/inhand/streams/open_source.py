@@ -4,6 +4,7 @@ from pathlib import Path
 
 from inhand.errors import InputError
 from inhand.streams.bag import is_recording, need_rosbags
+from inhand.streams.bop_scene import BopScene, has_scenes
 from inhand.streams.config import StreamConfig
 from inhand.streams.folder import Folder, is_folder_of_images
 from inhand.streams.realsense import RealSense
@@ -13,7 +14,7 @@ CAMERA = "realsense"
 
 
 def open_source(name: str, config: StreamConfig) -> Source:
-    """Open a folder of images, a recording or a camera.
+    """Open a folder of images, a scene of a data set, a recording or a camera.
 
     Args:
         name: a path; or `realsense`, or `realsense:SERIAL`.
@@ -36,9 +37,11 @@ def open_source(name: str, config: StreamConfig) -> Source:
     path = Path(name)
     if not path.exists():
         raise InputError(f"there is no file or folder {path}; a camera is called {CAMERA}")
+    if has_scenes(path):
+        return BopScene(path, config)
     if is_folder_of_images(path):
         return Folder(path, config)
     raise InputError(
-        f"{path} is no source: expected a folder of depth images (with camera.json), a ROS 1 bag "
-        f"(.bag), a ROS 2 bag (a folder, .db3 or .mcap) or {CAMERA}"
+        f"{path} is no source: expected a folder of depth images (with camera.json), a scene of a "
+        f"BOP data set, a ROS 1 bag (.bag), a ROS 2 bag (a folder, .db3 or .mcap) or {CAMERA}"
     )

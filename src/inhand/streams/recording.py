@@ -40,8 +40,13 @@ class Recording:
         self.name, self.kind = str(path), self._bag.kind
         try:
             self._choose(config)
-        except BaseException:
+        except InputError as error:
             self._bag.close()
+            if damage := self._bag.damage:
+                raise InputError(
+                    f"{path} is damaged or was never finished ({damage}); in what could be read of "
+                    f"it: {error}"
+                ) from error
             raise
 
     def _choose(self, config: StreamConfig) -> None:

@@ -102,9 +102,14 @@ def run(
         clock: tells the time.
 
     Raises:
-        InputError: the source breaks off or an output cannot be written; the rest is written.
+        InputError: an argument makes no sense; or the source breaks off or an output cannot be
+            written, and the rest is written.
         KeyboardInterrupt: Ctrl-C; all results are written.
     """
+    if limit is not None and limit < 1:
+        raise InputError(f"the limit must be at least 1 image, got {limit}")
+    if rate is not None and source.count is None:
+        raise InputError("a camera plays in real time already: leave out the rate")
     arrivals: Iterator[Arrival] = source.arrivals()
     if rate is not None:
         arrivals = in_real_time(arrivals, rate, clock or SystemClock())

@@ -42,13 +42,13 @@ class SalvagedBag:
     Args:
         files: its files, in the order in which they were recorded.
         kind: what they are.
-        reason: what is wrong with it.
+        damage: why it could not be opened as a whole.
     """
 
-    def __init__(self, files: list[Path], kind: BagKind, reason: str) -> None:
+    def __init__(self, files: list[Path], kind: BagKind, damage: str) -> None:
         self.kind = kind
         self._files = files
-        self._reason = reason
+        self.damage = damage
         types: dict[str, str] = {}
         counts: Counter[str] = Counter()
         for message in self._whole_messages():
@@ -61,7 +61,7 @@ class SalvagedBag:
         yield from (message for message in self._whole_messages() if message.topic in topics)
         count = sum(topic.messages for topic in self.topics.values())
         raise DamagedRecording(
-            f"{self._files[0]} is damaged or was never finished ({self._reason}): its first "
+            f"{self._files[0]} is damaged or was never finished ({self.damage}): its first "
             f"{count} messages were read"
         )
 
@@ -76,9 +76,9 @@ class SalvagedBag:
                 continue
 
 
-def salvage(files: list[Path], kind: BagKind, reason: str) -> SalvagedBag | None:
+def salvage(files: list[Path], kind: BagKind, damage: str) -> SalvagedBag | None:
     """What can be read of a damaged recording; None if nothing can."""
-    bag = SalvagedBag(files, kind, reason)
+    bag = SalvagedBag(files, kind, damage)
     return bag if bag.topics else None
 
 
