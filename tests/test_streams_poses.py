@@ -86,10 +86,21 @@ def test_no_pose_is_made_up(after_ms: int, reason: str) -> None:
     track.at(START + 50 * MS)
 
 
-@pytest.mark.parametrize("numbers", [(0, 0, 0, 0), (np.nan, 0, 0, 1)])
-def test_what_is_no_rotation_is_refused(numbers: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("numbers", [(0, 0, 0, 0), (np.nan, 0, 0, 1), (np.inf, 0, 0, 1)])
+def test_what_is_no_pose_is_refused(numbers: tuple[float, ...]) -> None:
+    track = track_of([0], random_poses(1))
     with pytest.raises(ValueError, match="no rotation"):
-        PoseTrack("the pose", 0.5).add(0, (0, 0, 0), numbers)
+        track.add(1, (0, 0, 0), numbers)
+    with pytest.raises(ValueError, match="not finite"):
+        track.add(1, (0, np.nan, 0), (0, 0, 0, 1))
+    with pytest.raises(NoPose):
+        track.at(1)
+
+
+def test_quaternions_of_any_length_are_rotations() -> None:
+    track = PoseTrack("the pose", 0.5)
+    track.add(0, (0, 0, 0), (0, 0, 2, 2))
+    np.testing.assert_allclose(track.at(0)[:3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
 
 
 def test_tree_composes_along_the_way() -> None:

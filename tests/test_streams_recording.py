@@ -412,6 +412,14 @@ def test_a_file_of_rubbish(tmp_path: Path, kind: BagKind) -> None:
         open_source(str(path), CONFIG)
 
 
+def test_mcap_of_other_software(tmp_path: Path) -> None:
+    path = write_recording(tmp_path, "mcap", everything)
+    file = storage_file(path)
+    file.write_bytes(file.read_bytes().replace(b"ros2", b"ros1", 1))
+    with pytest.raises(InputError, match=r"can be read: Profile is not ros2"):
+        open_source(str(path), CONFIG)
+
+
 def test_recorder_that_was_killed_left_no_metadata(tmp_path: Path) -> None:
     path = write_recording(tmp_path, "mcap", everything)
     (path / "metadata.yaml").unlink()

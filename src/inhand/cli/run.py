@@ -92,7 +92,8 @@ def run(args: Run) -> int:
 
     console = Console(stderr=True)
     device = resolve_device(args.device)
-    source = open_source(args.source, _stream_config(args))
+    with console.status(f"Opening {args.source}"):
+        source = open_source(args.source, _stream_config(args))
     try:
         for line in source.description:
             console.print(line, highlight=False, markup=False)

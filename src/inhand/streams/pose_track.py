@@ -1,12 +1,13 @@
 """The pose of one frame in another over time, interpolated."""
 
+import math
 from array import array
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from inhand.streams.rotation import matrix, slerp, unit
+from inhand.streams.rotation import matrix, slerp
 from inhand.streams.source import NoPose
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ class PoseTrack:
     def __init__(self, name: str, longest_gap: float) -> None:
         self.name = name
         self._longest_gap = longest_gap
-        self._times, self._values = array("q"), array("d")  # compact: a tf may hold millions
+        self._times, self._values = array("q"), array("d")
         self._sorted: tuple[NDArray[np.int64], Array] | None = None
 
     def add(self, time_ns: int, position: Sequence[float], quaternion: Sequence[float]) -> None:
@@ -35,11 +36,14 @@ class PoseTrack:
         Raises:
             ValueError: the numbers are no pose.
         """
-        values = (*position, *unit(quaternion))
-        if not np.isfinite(values).all():
+        length = math.hypot(*quaternion)  # plain floats: a long recording tells millions
+        if not 1e-6 < length < 1e6:
+            raise ValueError(f"the quaternion {list(quaternion)} is no rotation")
+        if not all(map(math.isfinite, position)):
             raise ValueError(f"the position {list(position)} is not finite")
         self._times.append(time_ns)
-        self._values.extend(values)
+        self._values.extend(position)
+        self._values.extend(x / length for x in quaternion)
         self._sorted = None
 
     def at(self, time_ns: int) -> Array:

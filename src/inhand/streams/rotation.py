@@ -1,7 +1,5 @@
 """Unit quaternions (x, y, z, w), the order of ROS."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,28 +9,17 @@ ALMOST_ONE = 1 - 1e-9
 """Cosine beyond which two quaternions are mixed linearly."""
 
 
-def unit(quaternion: Sequence[float] | Array) -> Array:
-    """`quaternion` of length one, shape (4,).
-
-    Raises:
-        ValueError: it is zero or not finite, so it is no rotation.
-    """
-    q = np.asarray(quaternion, dtype=np.float64)
-    length = float(np.linalg.norm(q))
-    if not 1e-6 < length < 1e6:
-        raise ValueError(f"the quaternion {q.tolist()} is no rotation")
-    return q / length
-
-
 def slerp(a: Array, b: Array, share: float) -> Array:
     """The rotation `share` (0..1) of the shorter way from `a` to `b`, all of shape (4,)."""
     cosine = float(a @ b)
     if cosine < 0:  # q and -q are the same rotation
         b, cosine = -b, -cosine
     if cosine > ALMOST_ONE:
-        return unit((1 - share) * a + share * b)
-    angle = np.arccos(cosine)
-    return unit((np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / np.sin(angle))
+        mixed = (1 - share) * a + share * b
+    else:
+        angle = np.arccos(cosine)
+        mixed = np.sin((1 - share) * angle) * a + np.sin(share * angle) * b
+    return np.asarray(mixed / np.linalg.norm(mixed))
 
 
 def matrix(quaternion: Array) -> Array:

@@ -135,6 +135,8 @@ def scan_mcap(path: Path) -> Iterator[Message]:
         schemas: dict[int, str] = {}
         channels: dict[int, _Channel] = {}
         for code, record in _mcap_records(file):
+            if code == 0x01 and _sized(record, "<I") != b"ros2":
+                raise Broken
             if code == 0x03:
                 (key,) = struct.unpack("<H", _exactly(record, 2))
                 schemas[key] = _sized(record, "<I").decode()
