@@ -149,10 +149,11 @@ def write_recording(
     name: str = "recording",
     *,
     packed: bool = False,
+    mode: rosbag2.CompressionMode | None = None,
 ) -> Path:
     """Write what `make` makes, in order of time; returns the recording's path.
 
-    Packed: in compressed chunks, which SQLite does not have.
+    Packed: in compressed chunks, which SQLite does not have. Mode: compressed as ROS 2 does it.
     """
     messages = Messages(kind)
     path = recording_path(folder, kind, name)
@@ -163,8 +164,10 @@ def write_recording(
     )
     if packed and isinstance(writer, rosbag1.Writer):
         writer.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
-    elif packed and isinstance(writer, rosbag2.Writer) and kind == "mcap":
-        writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
+    if packed and kind == "mcap":
+        mode = rosbag2.CompressionMode.STORAGE
+    if mode and isinstance(writer, rosbag2.Writer):
+        writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
     connections: dict[str, Any] = {}
     types = messages.types
     serialise = types.serialize_ros1 if kind == "ros1" else types.serialize_cdr

@@ -19,6 +19,7 @@ from ros_recording import (
     storage_file,
     write_recording,
 )
+from rosbags.rosbag2 import CompressionMode
 from scipy.spatial.transform import Rotation, Slerp
 
 from inhand.camera import Camera
@@ -410,6 +411,29 @@ def test_a_file_of_rubbish(tmp_path: Path, kind: BagKind) -> None:
     storage_file(path).write_bytes(b"rubbish" * 100)
     with pytest.raises(InputError, match=r"nothing in the recording .* can be read"):
         open_source(str(path), CONFIG)
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+def test_a_split_recording_without_metadata(tmp_path: Path, kind: BagKind) -> None:
+    """Its second file is cut short: the first is read to its end, and as much of the second."""
+    path = write_recording(tmp_path, kind, everything)
+    second = storage_file(write_recording(tmp_path, kind, long_recording, name="second"))
+    data = second.read_bytes()
+    (path / second.name.replace("second", "recording_1")).write_bytes(data[: len(data) // 2])
+    (path / "metadata.yaml").unlink()
+    source = open_source(str(path), CONFIG)
+    found: list[Frame] = []
+    with pytest.raises(InputError, match="never finished"):
+        found.extend(arrival.decode() for arrival in source.arrivals())
+    assert FRAMES + 10 <= len(found) < FRAMES + 40
+    assert [f.time_ns for f in found[:FRAMES]] == [image_time(i) for i in range(FRAMES)]
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_compressed_recordings(tmp_path: Path, kind: BagKind, mode: CompressionMode) -> None:
+    path = write_recording(tmp_path, kind, everything, mode=mode)
+    assert len(frames(open_source(str(path), CONFIG))) == FRAMES
 
 
 def test_mcap_of_other_software(tmp_path: Path) -> None:

@@ -110,12 +110,13 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
     from inhand.object_model import ObjectModel
     from inhand.streams import runner
 
+    paths = _output_paths(args, source)
     load_kernels(device, console)
     with console.status("Building the models of hand and object (from the cache next time)"):
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
     estimator = PoseEstimator(hand, obj, make_config(args.preset, args.seed), device)
-    outputs, paths = _open_outputs(args, source, obj)
+    outputs = _open_outputs(args, source, paths, obj)
     try:
         with _progress(source, console) as report:
             return runner.run(
@@ -152,23 +153,34 @@ def _stream_config(args: Run) -> "StreamConfig":
     )
 
 
-def _open_outputs(
-    args: Run, source: "Source", obj: "ObjectModel"
-) -> tuple[list["Output"], list[Path]]:
-    """The outputs, and where they are."""
+def _output_paths(args: Run, source: "Source") -> list[Path]:
+    """Where the JSON lines go, and the recording; checked before any work is done for them."""
     from inhand.streams.bag import need_rosbags
-    from inhand.streams.json_lines import JsonLines
+    from inhand.streams.new_file import check_new
 
     name = Path(args.source).resolve().stem if source.count is not None else source.name
-    lines = args.out or Path("out") / f"run-{name.replace(':', '-')}.jsonl"
-    if args.bag is None:
-        return [JsonLines(lines)], [lines]
-    need_rosbags()
+    paths = [args.out or Path("out") / f"run-{name.replace(':', '-')}.jsonl"]
+    if args.bag is not None:
+        need_rosbags()
+        paths.append(args.bag)
+    for path in paths:
+        check_new(path)
+    return paths
+
+
+def _open_outputs(
+    args: Run, source: "Source", paths: list[Path], obj: "ObjectModel"
+) -> list["Output"]:
+    from inhand.streams.json_lines import JsonLines
+
+    lines, *bag = paths
+    if not bag:
+        return [JsonLines(lines)]
     from inhand.streams.results_bag import ResultsBag
 
     # The JSON lines come first: when the bag cannot be written any more, they have it all.
-    bag = ResultsBag(args.bag, args.bag_kind or source.kind or "mcap", obj)
-    return [JsonLines(lines), bag], [lines, args.bag]
+    results_bag = ResultsBag(bag[0], args.bag_kind or source.kind or "mcap", obj)
+    return [JsonLines(lines), results_bag]
 
 
 @contextmanager

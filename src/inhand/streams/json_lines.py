@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.errors import InputError
+from inhand.streams.new_file import check_new
 from inhand.streams.runner import Result, Summary
 
 
@@ -25,8 +26,7 @@ class JsonLines:
         self._path = path
         self._whole = 0
         """Bytes of whole lines."""
-        if path.exists():
-            raise InputError(f"{path} exists already: remove it, or name another")
+        check_new(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb", buffering=0)

@@ -9,6 +9,7 @@ from rosbags import rosbag1, rosbag2
 from inhand.errors import InputError
 from inhand.object_model import ObjectModel
 from inhand.streams.bag import BagKind
+from inhand.streams.new_file import check_new
 from inhand.streams.result_messages import TYPE_OF_TOPIC, ResultMessages
 from inhand.streams.ros_types import standard_types
 from inhand.streams.runner import Result, Summary
@@ -32,8 +33,7 @@ class ResultsBag:
     """
 
     def __init__(self, path: Path, kind: BagKind, obj: ObjectModel) -> None:
-        if path.exists():
-            raise InputError(f"{path} exists already: remove it, or name another")
+        check_new(path)
         if kind == "ros1" and path.suffix != ".bag":
             raise InputError(f"the name of a ROS 1 bag ends in .bag, got {path}")
         types = standard_types(kind)
