@@ -2,8 +2,9 @@
 
 import io
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -150,10 +151,12 @@ def write_recording(
     *,
     packed: bool = False,
     mode: rosbag2.CompressionMode | None = None,
+    cut: Mapping[int, int] = MappingProxyType({}),
 ) -> Path:
     """Write what `make` makes, in order of time; returns the recording's path.
 
     Packed: in compressed chunks, which SQLite does not have. Mode: compressed as ROS 2 does it.
+    Cut: bytes left of messages, by time.
     """
     messages = Messages(kind)
     path = recording_path(folder, kind, name)
@@ -176,7 +179,8 @@ def write_recording(
             kind_of_message = message.__msgtype__
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind_of_message, typestore=types)
-            writer.write(connections[topic], time_ns, serialise(message, kind_of_message))
+            data = bytes(serialise(message, kind_of_message))
+            writer.write(connections[topic], time_ns, data[: cut.get(time_ns)])
     return path
 
 

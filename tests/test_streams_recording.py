@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 recordings as sources: topics, cameras, wrist poses, damage."""
+"""ROS 1 and ROS 2 recordings as sources: topics, cameras, wrist poses."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,7 +7,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from camera_on_a_robot import (
+    CAMERA,
+    CONFIG,
+    DEPTH,
+    FRAMES,
+    INFO,
+    LATE,
+    START,
+    T_WORLD_HAND,
+    camera_info,
+    check_wrist,
+    everything,
+    frames,
+    image_time,
+    images,
+    pixels,
+    tf,
+    true_pose,
+)
 from ros_recording import (
     KINDS,
     MS,
@@ -20,7 +38,6 @@ from ros_recording import (
     write_recording,
 )
 from rosbags.rosbag2 import CompressionMode
-from scipy.spatial.transform import Rotation, Slerp
 
 from inhand.camera import Camera
 from inhand.errors import InputError
@@ -28,72 +45,6 @@ from inhand.geometry.se3 import exp
 from inhand.streams.bag import BagKind
 from inhand.streams.config import StreamConfig
 from inhand.streams.open_source import open_source
-from inhand.streams.source import Frame, Source
-
-CAMERA = Camera(60.0, 61.0, 15.5, 11.5, 32, 24)
-START = 1_700_000_000 * 1000 * MS
-FRAMES = 5
-DEPTH, INFO = "/camera/depth/image_rect_raw", "/camera/depth/camera_info"
-T_WORLD_CAMERA = exp(np.array([0.3, -0.2, 0.1, 0.5, 0.2, 1.0]))
-T_WORLD_HAND = exp(np.array([[0.1, 0.9, -0.4, 0.6, 0.1, 1.4], [0.2, 0.5, -0.3, 0.7, 0.0, 1.3]]))
-"""At the first and the last of the poses told."""
-LATE = 7 * MS
-"""From taking an image to recording it."""
-
-
-def pixels(number: int) -> NDArray[np.uint16]:
-    return (400 + number + np.arange(24 * 32).reshape(24, 32) % 50).astype(np.uint16)
-
-
-def image_time(number: int) -> int:
-    return START + (10 + 33 * number) * MS
-
-
-def true_pose(time_ns: int) -> NDArray[np.float64]:
-    """The wrist in the world, told every 50 ms along a way from the first to the last pose."""
-    share = (time_ns - START) / (200 * MS)
-    T = np.eye(4)
-    way = Slerp([0, 1], Rotation.from_matrix(T_WORLD_HAND[:, :3, :3]))
-    T[:3, :3] = way(share).as_matrix()
-    T[:3, 3] = (1 - share) * T_WORLD_HAND[0, :3, 3] + share * T_WORLD_HAND[1, :3, 3]
-    return T
-
-
-def images(make: Messages, topic: str = DEPTH) -> list[Sent]:
-    times = [image_time(i) for i in range(FRAMES)]
-    return [Sent(topic, t + LATE, make.image(pixels(i), t)) for i, t in enumerate(times)]
-
-
-def camera_info(make: Messages, topic: str = INFO) -> list[Sent]:
-    return [Sent(topic, START, make.camera_info(CAMERA))]
-
-
-def tf(make: Messages, hand: str = "palm") -> list[Sent]:
-    camera = make.transforms(("world", OPTICAL, T_WORLD_CAMERA, 0))
-    moving = [
-        Sent("/tf", t + 60 * MS, make.transforms(("world", hand, true_pose(t), t)))
-        for t in range(START, START + 201 * MS, 50 * MS)
-    ]
-    return [Sent("/tf_static", START, camera), *moving]
-
-
-def everything(make: Messages) -> list[Sent]:
-    chatter = Sent("/chatter", START, make.text("hello"))
-    return [chatter, *images(make), *camera_info(make), *tf(make)]
-
-
-CONFIG = StreamConfig(root_link="palm")
-
-
-def frames(source: Source) -> list[Frame]:
-    return [arrival.decode() for arrival in source.arrivals()]
-
-
-def check_wrist(found: list[Frame]) -> None:
-    for frame in found:
-        assert frame.T_camera_hand is not None, frame.problem
-        expected = np.linalg.inv(T_WORLD_CAMERA) @ true_pose(frame.time_ns)
-        np.testing.assert_allclose(frame.T_camera_hand, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -343,92 +294,6 @@ def test_rectified_images_of_a_distorting_lens(tmp_path: Path) -> None:
     )
 
 
-def test_one_damaged_image_is_one_problem(tmp_path: Path) -> None:
-    def make(m: Messages) -> list[Sent]:
-        sent = everything(m)
-        broken = next(s for s in sent if s.time_ns == image_time(2) + LATE)
-        broken.message.data = broken.message.data[:100]
-        return sent
-
-    found = frames(open_source(str(write_recording(tmp_path, "mcap", make)), CONFIG))
-    assert [f.depth is not None for f in found] == [True, True, False, True, True]
-    assert "damaged: 100 bytes are too few" in found[2].problem
-
-
-def long_recording(make: Messages) -> list[Sent]:
-    """Several chunks: 40 images of 160 x 120 pixels."""
-    camera = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
-    # Steps 8 pixels wide, so that there is something to compress.
-    steps = np.random.default_rng(0).integers(300, 900, (120, 20))
-    depth = np.repeat(steps, 8, axis=1).astype(np.uint16)
-    sent = [Sent(INFO, START, make.camera_info(camera)), tf(make)[0]]
-    for i in range(40):
-        time_ns = START + 33 * MS * i
-        moved = make.transforms(("world", "palm", T_WORLD_HAND[0], time_ns))
-        sent += [Sent(DEPTH, time_ns, make.image(depth + i, time_ns)), Sent("/tf", time_ns, moved)]
-    return sent
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("share", [0.45, 0.9])
-@pytest.mark.parametrize("packed", [False, True])
-def test_half_a_recording_is_read_and_then_said(
-    tmp_path: Path, kind: BagKind, share: float, packed: bool
-) -> None:
-    path = write_recording(tmp_path, kind, long_recording, packed=packed)
-    file = storage_file(path)
-    whole = file.read_bytes()
-    file.write_bytes(whole[: int(share * len(whole))])
-    source = open_source(str(path), CONFIG)
-    found: list[Frame] = []
-    with pytest.raises(InputError, match=r"damaged or was never finished.*messages were read"):
-        found.extend(arrival.decode() for arrival in source.arrivals())
-    assert 40 * share - 2 <= len(found) < 40
-    assert all(f.depth is not None and f.T_camera_hand is not None for f in found[:-1])
-    assert [f.name for f in found] == [str(i) for i in range(len(found))]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_damage_in_the_middle_of_a_whole_file(tmp_path: Path, kind: BagKind) -> None:
-    path = write_recording(tmp_path, kind, long_recording, packed=True)
-    file = storage_file(path)
-    data = bytearray(file.read_bytes())
-    middle = len(data) * 8 // 10
-    data[middle : middle + 20_000] = bytes(20_000)
-    file.write_bytes(data)
-    source = open_source(str(path), CONFIG)
-    found: list[Frame] = []
-    with pytest.raises(InputError, match="is damaged, and was read up to there"):
-        found.extend(arrival.decode() for arrival in source.arrivals())
-    assert 20 <= len(found) < 40
-    assert [f.name for f in found] == [str(i) for i in range(len(found))]
-    assert all(f.depth is not None for f in found)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_file_of_rubbish(tmp_path: Path, kind: BagKind) -> None:
-    path = write_recording(tmp_path, kind, everything)
-    storage_file(path).write_bytes(b"rubbish" * 100)
-    with pytest.raises(InputError, match=r"nothing in the recording .* can be read"):
-        open_source(str(path), CONFIG)
-
-
-@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
-def test_a_split_recording_without_metadata(tmp_path: Path, kind: BagKind) -> None:
-    """Its second file is cut short: the first is read to its end, and as much of the second."""
-    path = write_recording(tmp_path, kind, everything)
-    second = storage_file(write_recording(tmp_path, kind, long_recording, name="second"))
-    data = second.read_bytes()
-    (path / second.name.replace("second", "recording_1")).write_bytes(data[: len(data) // 2])
-    (path / "metadata.yaml").unlink()
-    source = open_source(str(path), CONFIG)
-    found: list[Frame] = []
-    with pytest.raises(InputError, match="never finished"):
-        found.extend(arrival.decode() for arrival in source.arrivals())
-    assert FRAMES + 10 <= len(found) < FRAMES + 40
-    assert [f.time_ns for f in found[:FRAMES]] == [image_time(i) for i in range(FRAMES)]
-
-
 @pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_compressed_recordings(tmp_path: Path, kind: BagKind, mode: CompressionMode) -> None:
@@ -441,26 +306,6 @@ def test_mcap_of_other_software(tmp_path: Path) -> None:
     file = storage_file(path)
     file.write_bytes(file.read_bytes().replace(b"ros2", b"ros1", 1))
     with pytest.raises(InputError, match=r"can be read: Profile is not ros2"):
-        open_source(str(path), CONFIG)
-
-
-def test_recorder_that_was_killed_left_no_metadata(tmp_path: Path) -> None:
-    path = write_recording(tmp_path, "mcap", everything)
-    (path / "metadata.yaml").unlink()
-    source = open_source(str(path), CONFIG)
-    found: list[Frame] = []
-    with pytest.raises(InputError, match="never finished"):
-        found.extend(arrival.decode() for arrival in source.arrivals())
-    assert len(found) == FRAMES
-
-
-def test_too_little_is_left_of_a_recording(tmp_path: Path) -> None:
-    """The damage is named with what is missing because of it."""
-    make = lambda m: [*everything(m), *images(m, "/z")]  # noqa: E731
-    path = write_recording(tmp_path, "ros1", make)
-    file = storage_file(path)
-    file.write_bytes(file.read_bytes()[:5000])
-    with pytest.raises(InputError, match=r"never finished.*could be read of it: .*no topic of dep"):
         open_source(str(path), CONFIG)
 
 

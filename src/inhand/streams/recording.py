@@ -119,14 +119,18 @@ class Recording:
         return read_camera_info(self._first(topic), topic, rectified=rectified), topic
 
     def _first(self, topic: str) -> Any:
-        """The first message of a topic.
+        """The first message of a topic that is not damaged.
 
         Raises:
-            InputError: there is none, or it is damaged.
+            InputError: there is none.
         """
+        problem: InputError | None = None
         for message in self._messages([topic]):
-            return self._decoder.decode(message)
-        raise self._damage or InputError(f"the topic {topic} holds no message")
+            try:
+                return self._decoder.decode(message)
+            except InputError as error:  # it will be reported in its turn
+                problem = problem or error
+        raise problem or self._damage or InputError(f"the topic {topic} holds no message")
 
     def _read(self, topics: Collection[str]) -> Iterator[tuple[str, Any]]:
         """Topic and content of messages; damage is kept for the end of the run."""
