@@ -13,9 +13,10 @@ from inhand.cli.common import Preset
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from inhand.hand import Hand
     from inhand.object_model import ObjectModel
     from inhand.streams.config import StreamConfig
-    from inhand.streams.runner import Counts, Output, Summary
+    from inhand.streams.runner import Counts, Estimate, Output, Summary
     from inhand.streams.source import Source
 
 
@@ -104,8 +105,7 @@ def run(args: Run) -> int:
 
 
 def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summary":
-    from inhand.cli.common import load_kernels, make_config
-    from inhand.estimator import PoseEstimator
+    from inhand.cli.common import load_kernels
     from inhand.hand import Hand
     from inhand.object_model import ObjectModel
     from inhand.streams import runner
@@ -115,13 +115,13 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
     with console.status("Building the models of hand and object (from the cache next time)"):
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
-    estimator = PoseEstimator(hand, obj, make_config(args.preset, args.seed), device)
+    estimate = _make_estimate(args, hand, obj, device)
     outputs = _open_outputs(args, source, paths, obj)
     try:
         with _progress(source, console) as report:
             return runner.run(
                 source,
-                lambda frame: estimator.estimate(frame.depth, frame.camera, frame.T_camera_hand),
+                estimate,
                 outputs,
                 rate=args.rate,
                 limit=args.limit,
@@ -129,6 +129,14 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
             )
     finally:
         console.print(f"Results: {', '.join(map(str, paths))}", highlight=False, markup=False)
+
+
+def _make_estimate(args: Run, hand: "Hand", obj: "ObjectModel", device: str) -> "Estimate":
+    from inhand.cli.common import make_config
+    from inhand.estimator import PoseEstimator
+
+    estimator = PoseEstimator(hand, obj, make_config(args.preset, args.seed), device)
+    return lambda f: estimator.estimate(f.depth, f.camera, f.T_camera_hand)
 
 
 def _stream_config(args: Run) -> "StreamConfig":
