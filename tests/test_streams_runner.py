@@ -194,6 +194,20 @@ def test_ctrl_c_while_writing_waits_for_the_whole_result() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_ctrl_c_that_is_ignored_stays_ignored() -> None:
+    """As for a command that a shell runs in the background."""
+
+    def pressed(result: Result) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        summary = run(FakeSource(range(3)), found, [Kept(pressed)])
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert summary.counts.processed == 3
+
+
 def test_a_bug_in_the_estimator_finishes_the_outputs() -> None:
     def broken(frame: Frame) -> PoseEstimate:
         raise RuntimeError("a bug")

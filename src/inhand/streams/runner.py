@@ -179,14 +179,15 @@ def _finish(outputs: Sequence[Output], summary: Summary) -> None:
 @contextmanager
 def interrupt_held() -> Iterator[None]:
     """Ctrl-C waits until the block is done, so that no file is left half written."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield  # it comes to another thread, or is ignored
         return
     pressed: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, stack: pressed.append(number))
+    signal.signal(signal.SIGINT, lambda number, stack: pressed.append(number))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
     if pressed:
-        raise KeyboardInterrupt
+        before(signal.SIGINT, None)
