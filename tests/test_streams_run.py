@@ -181,6 +181,7 @@ def test_a_truncated_recording_is_processed_then_said(
 
 
 def test_ctrl_c_finishes_all_files(
+    interruptible: None,
     tmp_path: Path,
     models: list[str],
     calls: list[Any],

@@ -166,7 +166,7 @@ def test_all_outputs_are_finished_when_one_cannot_be() -> None:
     assert len(last.summaries) == 1
 
 
-def test_ctrl_c_between_images_finishes_the_outputs() -> None:
+def test_ctrl_c_between_images_finishes_the_outputs(interruptible: None) -> None:
     def estimate(frame: Frame) -> PoseEstimate:
         if frame.name == "2":
             os.kill(os.getpid(), signal.SIGINT)
@@ -179,7 +179,7 @@ def test_ctrl_c_between_images_finishes_the_outputs() -> None:
     assert [s.stopped for s in output.summaries] == ["interrupted"]
 
 
-def test_ctrl_c_while_writing_waits_for_the_whole_result() -> None:
+def test_ctrl_c_while_writing_waits_for_the_whole_result(interruptible: None) -> None:
     def pressed(result: Result) -> None:
         if result.frame.name == "1":
             os.kill(os.getpid(), signal.SIGINT)
