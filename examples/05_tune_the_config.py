@@ -15,21 +15,17 @@ from inhand.evaluation.metrics import ObjectMetric
 from inhand.geometry import se3
 from inhand.synth.demo import regression_scenes
 
+# How far the given wrist may be off, and how far around it and how often to look for it.
+rough_wrist = WristConfig(
+    prior_sd_translation=0.010,  # [m]
+    prior_sd_rotation=0.06,  # [rad]
+    search_sd_translation=0.012,
+    search_sd_rotation=0.08,
+    samples=512,
+    starts=9,
+)
 default = inhand.EstimatorConfig()
-configurations = {
-    "default": default,
-    "rough wrist": replace(
-        default,
-        wrist=WristConfig(
-            prior_sd_translation=0.010,
-            prior_sd_rotation=0.06,
-            samples=512,
-            search_sd_translation=0.012,
-            search_sd_rotation=0.08,
-            starts=9,
-        ),
-    ),
-}
+configurations = {"default": default, "rough wrist": replace(default, wrist=rough_wrist)}
 
 turn = se3.exp(np.array([0.0, np.radians(12), 0.0, 0.02, 0.02, 0.01]))
 scenes = regression_scenes()
