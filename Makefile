@@ -18,7 +18,7 @@ lint: .venv/.dev
 	$(BIN)/mypy
 
 docs: .venv/.dev  ## build the documentation site into out/docs; a warning is an error
-	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs out/docs
+	$(BIN)/sphinx-build --quiet --fresh-env --fail-on-warning docs out/docs
 
 warmup: .venv/.core  ## compile all kernels ahead of the first estimate
 	$(BIN)/inhand warmup
