@@ -6,7 +6,7 @@ The scene is fixed and the estimator repeatable, so the pictures only change whe
 """
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,6 @@ import inhand
 from inhand.estimate import PoseEstimate
 from inhand.estimator import StageResults
 from inhand.evaluation.metrics import ObjectMetric, angle_errors, wrist_error
-from inhand.geometry.mesh import TriangleMesh
 from inhand.kernels.depth import DepthRenderer
 from inhand.picture import (
     HAND_COLOUR,
@@ -68,6 +67,7 @@ class Pictures:
         self._shown = np.isin(scene.label, (HAND, OBJECT))
         self._window = Window.around(self._shown)
         self._camera = self._window.camera(scene.camera, SIZE)
+        self._object = DepthRenderer([scene.obj.mesh])
         self._metric = ObjectMetric(scene.obj)
 
     def region(self) -> list[Panel]:
@@ -94,7 +94,7 @@ class Pictures:
         """The palm at the given pose and at the fitted one."""
         scene, palm = self._scene, self._scene.hand.palm_links
         at_palm = scene.hand.forward_kinematics(scene.hand.rest)[list(palm)]
-        contour = partial(self._contour, [scene.hand.links[i].mesh for i in palm])
+        contour = partial(self._contour, DepthRenderer([scene.hand.links[i].mesh for i in palm]))
         panels = []
         for name, T, colour in (
             ("as given", scene.T_camera_hand_given, GIVEN_COLOUR),
@@ -115,7 +115,8 @@ class Pictures:
         for link, T, certain in zip(
             scene.hand.links, state.T_camera_link, state.certain, strict=True
         ):
-            pixels[self._contour([link.mesh], T[None])] = HAND_COLOUR if certain else UNSURE_COLOUR
+            contour = self._contour(DepthRenderer([link.mesh]), T[None])
+            pixels[contour] = HAND_COLOUR if certain else UNSURE_COLOUR
         depth, label = DepthRenderer([link.mesh for link in scene.hand.links]).render(
             self._camera, state.T_camera_link
         )
@@ -147,7 +148,7 @@ class Pictures:
         """Contours of object poses as a heat map, and the best of them."""
         count = np.zeros((SIZE, SIZE))
         for T in found.T_camera_object:
-            count += self._contour([self._scene.obj.mesh], T[None], 1)
+            count += self._contour(self._object, T[None], thickness=1)
         heat = np.clip(count / max(np.percentile(count[count > 0], 98), 1), 0, 1)[..., None] ** 0.5
         heated = (1 - heat) * 0.5 * self._background() + heat * np.array(OBJECT_COLOUR)
         error = [self._metric.adi(T, self._scene.T_camera_object) for T in found.T_camera_object]
@@ -156,7 +157,7 @@ class Pictures:
             (self._scene.T_camera_object, TRUE_COLOUR),
             (found.T_camera_object[best], OBJECT_COLOUR),
         ):
-            pixels[self._contour([self._scene.obj.mesh], T[None])] = colour
+            pixels[self._contour(self._object, T[None])] = colour
         rank = f"number {1 + (found.score > found.score[best]).sum()} by score"
         return [
             Panel(heated.astype(np.uint8), f"contours of {len(found)} {what}"),
@@ -194,11 +195,9 @@ class Pictures:
             grey_depth(self._scene.depth, self._scene.depth[self._shown]), PAPER, SIZE
         )
 
-    def _contour(
-        self, meshes: Sequence[TriangleMesh], poses: NDArray[Any], thickness: int = 2
-    ) -> Mask:
-        """Pixels on the edge of the meshes' common silhouette."""
-        shown = DepthRenderer(meshes).render(self._camera, np.asarray(poses, dtype=np.float64))[1]
+    def _contour(self, bodies: DepthRenderer, poses: NDArray[Any], thickness: int = 2) -> Mask:
+        """Pixels on the edge of the bodies' common silhouette."""
+        shown = bodies.render(self._camera, np.asarray(poses, dtype=np.float64))[1]
         return outline(shown >= 0, thickness)
 
     def _draw_points(self, pixels: Pixels, points: NDArray[Any], colours: NDArray[Any]) -> None:

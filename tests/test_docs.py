@@ -3,6 +3,7 @@
 import ast
 import json
 import re
+import runpy
 import shlex
 from collections.abc import Iterator
 from dataclasses import fields
@@ -182,6 +183,20 @@ def test_estimate_command_of_a_page_runs(
     truth = demo_scene().T_camera_object
     assert np.array(result["T_camera_object"])[:3, 3] == pytest.approx(truth[:3, 3], abs=0.002)
     assert (workplace / "result.png").is_file()
+
+
+# Pictures
+
+
+def test_pictures_of_the_stages_can_be_drawn_anew(tmp_path: Path) -> None:
+    script = runpy.run_path(str(ROOT / "benchmarks" / "stage_pictures.py"))
+    script["main"](tmp_path)
+    shown = re.findall(r"\(stages/(.+\.webp)\)", (ROOT / "docs/how-it-works.md").read_text())
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(shown)
+    for name in shown:
+        drawn, committed = (Image.open(f / name) for f in (tmp_path, ROOT / "docs" / "stages"))
+        assert drawn.size == committed.size
+        assert (tmp_path / name).stat().st_size < 100_000
 
 
 # Links and completeness
