@@ -2,20 +2,17 @@
 
 import json
 import os
-import runpy
-import shlex
 import signal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import tyro
 from any_stream import found
 from ros_recording import MS, OPTICAL, Messages, Sent, storage_file, write_recording
 from rosbags import rosbag1, rosbag2
 
-from inhand import Camera, PoseEstimate, PoseEstimator, cli
+from inhand import Camera, PoseEstimate, PoseEstimator
 from inhand.builtin.hand import write_hand
 from inhand.cli import main
 from inhand.evaluation.metrics import ObjectMetric, wrist_error
@@ -219,21 +216,3 @@ def test_options_reach_the_source(
     ((_, given, T_camera_hand),) = calls
     assert given.fx == 600
     np.testing.assert_array_equal(T_camera_hand, T)
-
-
-def test_the_example_prints_what_the_page_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    root = Path(__file__).parents[1]
-    monkeypatch.chdir(tmp_path)
-    runpy.run_path(str(root / "examples" / "08_stream.py"))
-    printed = capsys.readouterr().out
-    assert f"```text\n{printed}```" in (root / "docs" / "streams.md").read_text()
-
-
-def test_the_commands_of_the_page_exist() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "streams.md").read_text()
-    lines = [line for line in page.splitlines() if line.startswith("inhand run ")]
-    assert len(lines) >= 4
-    for line in lines:
-        tyro.cli(cli._Command, args=shlex.split(line)[1:])

@@ -120,7 +120,7 @@ class HandStateConfig(Section):
     """`swarm`: the paper's particle swarm on Alg. 1; `visibility`: projective search, then a
     joint Gauss-Newton over wrist and fingers."""
     samples: int = 2000
-    """Configurations tried per finger."""
+    """Configurations tried per finger, rounded down to a power of two."""
     shortlist: int = 512
     """The best of these that are tried once more beside the other fingers."""
     alternatives: int = 6
