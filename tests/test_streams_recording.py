@@ -259,6 +259,18 @@ BAD: dict[str, tuple[Callable[[Messages], list[Sent]], StreamConfig, str]] = {
         CONFIG,
         r"several topics of poses; choose one by --pose-topic TOPIC or --hand-frame FRAME: /p, /q",
     ),
+    "tf in a circle": (
+        lambda m: [
+            *images(m),
+            *camera_info(m),
+            *(
+                Sent("/tf_static", START, m.transforms((a, b, np.eye(4), START)))
+                for a, b in ((OPTICAL, "palm"), ("palm", OPTICAL))
+            ),
+        ],
+        CONFIG,
+        r"tf goes in a circle at",
+    ),
     "two wrists": (
         everything,
         replace(CONFIG, hand_frame="palm", pose_topic="/p"),

@@ -147,7 +147,7 @@ def test_nothing_found_is_exit_code_1(
     assert main(["run", str(source), *models, "--out", str(tmp_path / "o.jsonl")]) == 1
 
 
-def test_a_missing_topic_is_bad_input(
+def test_bad_input_leaves_no_output(
     tmp_path: Path,
     models: list[str],
     calls: list[Any],
@@ -158,6 +158,8 @@ def test_a_missing_topic_is_bad_input(
     assert main(["run", str(source), *models, "--out", str(out), "--depth-topic", "/d"]) == 2
     said = capsys.readouterr().err
     assert "/camera/image_rect (sensor_msgs/msg/Image, 4)" in said
+    assert main(["run", str(source), *models, "--out", str(out), "--rate", "0"]) == 2
+    assert "rate must be positive" in capsys.readouterr().err
     assert not out.exists()
 
 

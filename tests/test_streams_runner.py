@@ -82,10 +82,12 @@ def test_dropped_and_processed_are_all(ms: list[int], seconds: float, rate: floa
     assert output.names[-1] == len(ms) - 1, "the last image is always taken"
 
 
-@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan")])
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_rate_is_positive(rate: float) -> None:
+    output = Kept()
     with pytest.raises(InputError, match="rate must be positive"):
-        run(FakeSource([0]), found, [Kept()], rate=rate)
+        run(FakeSource([0]), found, [output], rate=rate)
+    assert len(output.summaries) == 1
 
 
 def test_images_that_cannot_be_estimated_are_reported_and_counted() -> None:

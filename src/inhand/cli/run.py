@@ -110,6 +110,7 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
     from inhand.object_model import ObjectModel
     from inhand.streams import runner
 
+    runner.check_pace(source, args.rate, args.limit)
     paths = _output_paths(args, source)
     load_kernels(device, console)
     with console.status("Building the models of hand and object (from the cache next time)"):

@@ -10,7 +10,7 @@ from inhand.errors import InputError
 from inhand.streams.config import StreamConfig
 from inhand.streams.pose_track import PoseTrack
 from inhand.streams.ros_types import POSE, stamp_ns
-from inhand.streams.source import Wrist
+from inhand.streams.source import NoPose, Wrist
 from inhand.streams.topics import (
     Topics,
     check_topic,
@@ -112,7 +112,11 @@ def _read_track(topic: str, read: Read, longest_gap: float) -> tuple[PoseTrack, 
 
 
 def _check_connected(tree: TransformTree, frame: str, camera_frame: str, option: str) -> None:
-    if not tree.connected(camera_frame, frame):
+    try:
+        connected = tree.connected(camera_frame, frame)
+    except NoPose as problem:
+        raise InputError(f"{option}: {problem}") from problem
+    if not connected:
         raise InputError(
             f"{option}: tf does not connect {frame} with the camera's frame {camera_frame}; "
             f"frames in tf: {', '.join(tree.frames) or 'none'}"

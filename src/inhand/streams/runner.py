@@ -106,19 +106,16 @@ def run(
             written, and the rest is written.
         KeyboardInterrupt: Ctrl-C; all results are written.
     """
-    if limit is not None and limit < 1:
-        raise InputError(f"the limit must be at least 1 image, got {limit}")
-    if rate is not None and source.count is None:
-        raise InputError("a camera plays in real time already: leave out the rate")
-    arrivals: Iterator[Arrival] = source.arrivals()
-    if rate is not None:
-        arrivals = in_real_time(arrivals, rate, clock or SystemClock())
     counts, stopped = Counts(), "it broke off unexpectedly"
     try:
+        check_pace(source, rate, limit)
+        arrivals: Iterator[Arrival] = source.arrivals()
+        if rate is not None:
+            arrivals = in_real_time(arrivals, rate, clock or SystemClock())
         for arrival in islice(arrivals, limit):
             result = _process(arrival, estimate)
-            counts = _count(counts, result)
             with interrupt_held():
+                counts = _count(counts, result)
                 for output in outputs:
                     output.write(result)
             report(counts)
@@ -134,6 +131,16 @@ def run(
         with interrupt_held():
             _finish(outputs, summary)
     return summary
+
+
+def check_pace(source: Source, rate: float | None, limit: int | None) -> None:
+    """Raise InputError if `rate` or `limit` make no sense for a source; see `run`."""
+    if limit is not None and limit < 1:
+        raise InputError(f"the limit must be at least 1 image, got {limit}")
+    if rate is not None and not 0 < rate < float("inf"):
+        raise InputError(f"the rate must be positive (1 is real time), got {rate:g}")
+    if rate is not None and source.count is None:
+        raise InputError("a camera plays in real time already: leave out the rate")
 
 
 def _process(arrival: Arrival, estimate: Estimate) -> Result:

@@ -53,7 +53,11 @@ class TransformTree:
         self._pose[child] = known.at(time_ns) if static else known
 
     def connected(self, a: str, b: str) -> bool:
-        """Whether two frames hang together."""
+        """Whether two frames hang together.
+
+        Raises:
+            NoPose: the frames go in a circle.
+        """
         return self._path(a)[-1] == self._path(b)[-1]
 
     def T(self, target: str, source: str, time_ns: int) -> Array:
