@@ -35,7 +35,7 @@ def open_bag(path: Path) -> Bag:
     except PermissionError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
     except Exception as error:  # damaged files make the library raise nearly anything
-        reason = str(error) or repr(error)
+        reason = str(error).rstrip(".") or repr(error)
     if (bag := salvage(files, kind, reason)) is not None:
         return bag
     raise InputError(f"nothing in the recording {path} can be read: {reason}")
