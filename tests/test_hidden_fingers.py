@@ -10,7 +10,6 @@ from inhand.stages.evidence import gather_evidence
 from inhand.stages.hidden_fingers import place_hidden_fingers
 from inhand.stages.results import Configurations, HandState, PoseSet
 
-CONFIG = SelectionConfig()
 TOUCHING = np.array([-0.25, 0.0])
 """In the scenes the first finger is 2 mm deep in the object; turned by this it touches it."""
 AWAY = np.array([-0.8, 0.0])
@@ -35,14 +34,12 @@ def state_of(
     return HandState(joints, true.T_camera_hand, poses, certain, (first, other))
 
 
-def placed(
-    scene: HeldObject, state: HandState, T: np.ndarray, config: SelectionConfig = CONFIG
-) -> tuple[PoseSet, np.ndarray]:
+def placed(scene: HeldObject, state: HandState, T: np.ndarray) -> tuple[PoseSet, np.ndarray]:
     poses = PoseSet(T.astype(np.float32), np.linspace(1, 0.9, len(T), dtype=np.float32))
     evidence = gather_evidence(
         scene.observation, state, scene.segment, scene.hand, EvidenceConfig()
     )
-    return place_hidden_fingers(poses, evidence, scene.obj, config)
+    return place_hidden_fingers(poses, evidence, scene.obj, SelectionConfig())
 
 
 def configurations(scene: HeldObject, count: int = 200) -> np.ndarray:
@@ -80,10 +77,10 @@ def test_what_the_image_speaks_against_needs_a_reason() -> None:
         state = state_of(scene, tried, np.array(score))
         _, joints = placed(scene, state, scene.T_camera_object[None])
         np.testing.assert_array_equal(joints[scene.hand.fingers[0].joints], tried[0])
-    # If reaching for the object costs more than the gap, the finger stays.
-    stubborn = replace(CONFIG, finger_elsewhere=1.0)
-    state = state_of(scene, tried, np.ones(2))
-    _, joints = placed(scene, state, scene.T_camera_object[None], stubborn)
+    # If the image speaks against reaching for the object more than the gap costs, it stays.
+    tried[0] = state.joint_vector[scene.hand.fingers[0].joints]
+    state = state_of(scene, tried, np.array([1.0, 0.0]))
+    _, joints = placed(scene, state, scene.T_camera_object[None])
     np.testing.assert_array_equal(joints, state.joint_vector)
 
 
@@ -109,7 +106,7 @@ def test_a_pose_that_no_finger_can_give_way_to_falls_behind() -> None:
     poses, _ = placed(scene, state, T)
     np.testing.assert_allclose(poses.T_camera_object[0], scene.T_camera_object, atol=1e-6)
     # Beyond the poses that are judged nothing changes place.
-    poses, _ = placed(scene, state, T, replace(CONFIG, grasps=1))
+    poses, _ = placed(scene, state, T, replace(SelectionConfig(), grasps=1))
     np.testing.assert_allclose(poses.T_camera_object[0], T[0], atol=1e-6)
 
 
