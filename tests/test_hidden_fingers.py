@@ -10,6 +10,7 @@ from inhand.stages.evidence import gather_evidence
 from inhand.stages.hidden_fingers import place_hidden_fingers
 from inhand.stages.results import Configurations, HandState, PoseSet
 
+CONFIG = SelectionConfig()
 TOUCHING = np.array([-0.25, 0.0])
 """In the scenes the first finger is 2 mm deep in the object; turned by this it touches it."""
 AWAY = np.array([-0.8, 0.0])
@@ -34,12 +35,14 @@ def state_of(
     return HandState(joints, true.T_camera_hand, poses, certain, (first, other))
 
 
-def placed(scene: HeldObject, state: HandState, T: np.ndarray) -> tuple[PoseSet, np.ndarray]:
+def placed(
+    scene: HeldObject, state: HandState, T: np.ndarray, config: SelectionConfig = CONFIG
+) -> tuple[PoseSet, np.ndarray]:
     poses = PoseSet(T.astype(np.float32), np.linspace(1, 0.9, len(T), dtype=np.float32))
     evidence = gather_evidence(
         scene.observation, state, scene.segment, scene.hand, EvidenceConfig()
     )
-    return place_hidden_fingers(poses, evidence, scene.obj, SelectionConfig())
+    return place_hidden_fingers(poses, evidence, scene.obj, config)
 
 
 def configurations(scene: HeldObject, count: int = 200) -> np.ndarray:
@@ -106,7 +109,7 @@ def test_a_pose_that_no_finger_can_give_way_to_falls_behind() -> None:
     poses, _ = placed(scene, state, T)
     np.testing.assert_allclose(poses.T_camera_object[0], scene.T_camera_object, atol=1e-6)
     # Beyond the poses that are judged nothing changes place.
-    poses, _ = placed(scene, state, T, replace(SelectionConfig(), grasps=1))
+    poses, _ = placed(scene, state, T, replace(CONFIG, grasps=1))
     np.testing.assert_allclose(poses.T_camera_object[0], T[0], atol=1e-6)
 
 
