@@ -19,7 +19,7 @@ from inhand.datasets.frame import (
     Frame,
     Truth,
 )
-from inhand.datasets.npz import read_npz
+from inhand.datasets.npz import read_npz, read_object_name
 from inhand.errors import InputError
 from inhand.object_model import ObjectModel
 
@@ -37,6 +37,7 @@ __all__ = [
     "find_upwards",
     "frame_name",
     "load_object",
+    "object_name",
     "read_frame",
 ]
 
@@ -97,6 +98,18 @@ def read_frame(path: str | Path) -> Frame:
     if bop.is_frame(path):
         return bop.read_frame(path, frame_name(path))
     return read_npz(path, frame_name(path))
+
+
+def object_name(path: str | Path) -> str:
+    """Name of the object in the frame at `path`, without reading its images.
+
+    Raises:
+        InputError: a file is missing, cut short, or lacks the name.
+    """
+    path = Path(path)
+    if bop.is_frame(path):
+        return bop.read_object_name(path)
+    return read_object_name(path)
 
 
 def find_hand(folder: str | Path, relative: str) -> Path | None:
