@@ -125,8 +125,8 @@ def _describe(residual: NDArray[np.float32]) -> str:
         return "not seen"
     agree = np.mean(np.abs(residual) < AGREES)
     return (
-        f"{1000 * np.median(np.abs(residual)):.1f} mm median, {agree:.0%} of {len(residual)} "
-        f"pixels within {1000 * AGREES:.0f} mm"
+        f"{1000 * np.median(np.abs(residual)):.1f} mm in the median, {agree:.0%} of "
+        f"{len(residual)} px within {1000 * AGREES:.0f} mm"
     )
 
 
