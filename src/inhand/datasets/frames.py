@@ -37,10 +37,14 @@ __all__ = [
     "find_upwards",
     "frame_name",
     "load_object",
+    "need_hand",
+    "need_objects",
     "object_name",
     "read_frame",
 ]
 
+DEFAULT_HAND = "hands/t42/hand_T42b.urdf"
+"""Looked for beside the frames and above where a data set does not name its hand."""
 _MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".dae")
 
 
@@ -123,6 +127,30 @@ def find_objects(folder: str | Path, relative: str) -> Path | None:
     if scenes and (models := bop_models.find_models(bop.dataset_folder(scenes[0]))):
         return models
     return find_upwards(folder, relative)
+
+
+def need_hand(frames: str | Path) -> Path:
+    """URDF of the hand that belongs to frames: see `find_hand`, with `DEFAULT_HAND`.
+
+    Raises:
+        InputError: there is none.
+    """
+    hand = find_hand(frames, DEFAULT_HAND)
+    if hand is None:
+        raise InputError(f"there is no {DEFAULT_HAND} beside {frames} or above: give --hand")
+    return hand
+
+
+def need_objects(frames: str | Path) -> Path:
+    """Folder of the object models that belong to frames: see `find_objects`, with `objects`.
+
+    Raises:
+        InputError: there is none.
+    """
+    objects = find_objects(frames, "objects")
+    if objects is None:
+        raise InputError(f"there is no objects beside {frames} or above: give --objects")
+    return objects
 
 
 def load_object(folder: str | Path, name: str) -> ObjectModel:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 from inhand.viewer.analysis import Analysis
-from inhand.viewer.stages import CHOICE, STAGES, StageView
+from inhand.viewer.stages import STAGES, StageView
 
 CloudKind = Literal["by stage", "as the camera sees it", "by residual"]
 LAYERS = ("Cloud", "Hand", "Object", "All poses", "True object", "True hand", "Camera")
@@ -107,8 +107,8 @@ class LayerControls:
 def candidate_table(analysis: Analysis) -> str:
     """The ranked candidates with their scores, as a table in Markdown."""
     stage = analysis.stages[-1]
-    if stage.name != CHOICE or len(stage.poses) < 2:
-        return ""
+    if not len(stage.poses):
+        return "none"
     truth = analysis.truth is not None
     lines = ["| rank | score |" + (" ADI |" if truth else ""), "|---|---|" + "---|" * truth]
     for rank, (T, score) in enumerate(zip(stage.poses, stage.scores, strict=True), start=1):

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 CAMERA = "/camera"
 """Node of the depth camera's frame."""
-DISTANCE = 0.35
+DISTANCE = 0.26
 """How far from the middle the page's view starts [m], on the depth camera's side."""
 POINT_SIZE = 0.0012
 """Edge length of a point [m]."""

@@ -12,9 +12,10 @@ from inhand.viewer.controls import LayerControls, StageControls, candidate_table
 from inhand.viewer.drawing import View
 from inhand.viewer.scene import SceneDrawing, Shown
 from inhand.viewer.silhouettes import SIZE
+from inhand.viewer.stages import CHOICE
 from inhand.viewer.worker import Worker
 
-PANEL_WIDTH = 410
+PANEL_WIDTH = 380
 """Of the panel with the pictures [pixel]."""
 LEGEND = """\
 **Above**: outlines of the hand (blue), the object (orange; brown where it is hidden) and the true
@@ -42,12 +43,13 @@ class Page:
         self._status = server.gui.add_markdown("", order=-2)
         self._add_pictures()
         self.stages = StageControls(server.gui, self._chosen)
+        with server.gui.add_folder("Candidates", expand_by_default=False):
+            self._table = server.gui.add_markdown("")
         self._layers = LayerControls(server.gui, self.redraw)
         server.gui.add_button("Look from the camera").on_click(
             lambda _: self._view.look_from_camera()
         )
         self._adjust = AdjustControls(server.gui, hand, self.redraw)
-        self._table = server.gui.add_markdown("")
         for key, step in (("[", -1), ("]", 1)):
             name = "Next stage" if step > 0 else "Previous stage"
             command = server.gui.add_command(name, hotkey=key)
@@ -119,11 +121,14 @@ class Page:
 
     def _facts(self, analysis: Analysis, placement: Placement) -> str:
         """How good the object's pose is, where it is shown now."""
-        stage, facts = self.stages.stage, []
-        if len(stage.scores) and placement is self._adjust.base:
+        stage, facts, moved = self.stages.stage, [], placement is not self._adjust.base
+        if len(stage.scores) and not moved:
             facts.append(f"score in this stage {stage.scores[self.stages.rank]:.3f}")
-        if (score := analysis.score(placement)) is not None:
-            facts.append(f"selection's score {score:.3f}")
+        if moved or stage.name != CHOICE:
+            score = analysis.score(placement)
+            facts += (
+                [] if score is None else [f"by the final score, the hand as drawn, {score:.3f}"]
+            )
         if (adi := analysis.adi(placement.T_camera_object)) is not None:
             facts.append(f"off by **{1000 * adi:.1f} mm** (ADI)")
         return "; ".join(facts)

@@ -129,7 +129,7 @@ class SceneDrawing:
             view, mesh, axes = self._view, obj.mesh, 0.6 * obj.diameter
             self._objects = (
                 ObjectDrawing(
-                    view, "object", mesh, OBJECT_COLOUR, 0.8, axes=axes, centre=obj.centre
+                    view, "object", mesh, OBJECT_COLOUR, 0.7, axes=axes, centre=obj.centre
                 ),
                 ObjectDrawing(view, "true_object", mesh, TRUE_COLOUR, 0.35),
             )
