@@ -22,7 +22,7 @@ CAMERA = "/camera"
 """Node of the depth camera's frame."""
 DISTANCE = 0.26
 """How far from the middle the page's view starts [m], on the depth camera's side."""
-POINT_SIZE = 0.0012
+POINT_SIZE = 0.0009
 """Edge length of a point [m]."""
 
 

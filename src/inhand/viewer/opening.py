@@ -16,6 +16,7 @@ from inhand.hand import Hand
 from inhand.io import read_colour, read_depth, read_result, read_transform
 from inhand.object_model import ObjectModel
 from inhand.synth.demo import builtin_hand, demo_scene
+from inhand.synth.scene import Scene
 from inhand.viewer.frames import DatasetFrames, FrameSource, SingleFrame, ViewedFrame
 from inhand.viewer.session import OWN_METHODS
 
@@ -53,6 +54,12 @@ class FrameFiles:
 def open_demo() -> Opened:
     """The built-in scene."""
     scene = demo_scene()
+    frame = ViewedFrame.of_dataset(frame_of_scene(scene, "built-in scene"))
+    return Opened(SingleFrame(scene.hand, scene.obj, frame))
+
+
+def frame_of_scene(scene: Scene, name: str) -> Frame:
+    """A rendered scene as a frame of a data set, with its ground truth."""
     truth = Truth(
         scene.T_camera_hand,
         scene.T_camera_object,
@@ -60,15 +67,8 @@ def open_demo() -> Opened:
         scene.label,
         scene.visible_share,
     )
-    frame = Frame(
-        "built-in scene",
-        scene.obj.name,
-        scene.depth,
-        scene.camera,
-        scene.T_camera_hand_given,
-        truth,
-    )
-    return Opened(SingleFrame(scene.hand, scene.obj, ViewedFrame.of_dataset(frame)))
+    given = scene.T_camera_hand_given
+    return Frame(name, scene.obj.name, scene.depth, scene.camera, given, truth)
 
 
 def open_frame(files: FrameFiles, package_paths: PackagePaths) -> Opened:

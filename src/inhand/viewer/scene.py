@@ -131,7 +131,7 @@ class SceneDrawing:
                 ObjectDrawing(
                     view, "object", mesh, OBJECT_COLOUR, 0.7, axes=axes, centre=obj.centre
                 ),
-                ObjectDrawing(view, "true_object", mesh, TRUE_COLOUR, 0.35),
+                ObjectDrawing(view, "true_object", mesh, TRUE_COLOUR, 0.2),
             )
         return self._objects
 

@@ -214,20 +214,19 @@ class _Views:
         return replace(view, text=f"**Not reached**: {why}.", reached=False)
 
     def _joints(self, positions: dict[str, float]) -> list[str]:
-        """The joints' positions, with their errors where those are known."""
-        labelled = self.frame.labelled
+        """The joints' positions, as far as they are known, with their errors."""
+        labelled, hand = self.frame.labelled, self.hand.hand
         truth = {} if labelled is None else labelled.truth.joint_positions
         errors = angle_errors(positions, truth)
         lines = []
-        for name, kind in zip(
-            self.hand.hand.all_joint_names, self.hand.hand.chain.kind, strict=True
-        ):
-            q = positions[name]
+        for name, kind in zip(hand.all_joint_names, hand.chain.kind, strict=True):
+            if name not in positions:
+                continue
             if kind != REVOLUTE:
-                lines.append(f"{name}: {1000 * q:.1f} mm")
+                lines.append(f"{name}: {1000 * positions[name]:.1f} mm")
                 continue
             error = f" (off by {degrees(errors[name]):.1f}°)" if name in errors else ""
-            lines.append(f"{name}: {degrees(q):.1f}°{error}")
+            lines.append(f"{name}: {degrees(positions[name]):.1f}°{error}")
         return lines
 
     def _wrist_errors(self, *stages: str) -> list[str]:
