@@ -28,7 +28,7 @@ LAYERS = [
     ["estimator"],
     ["io", "picture", "builtin", "cluster"],
     ["synth", "datasets"],
-    ["evaluation", "baselines"],
+    ["evaluation", "baselines", "tracking"],
     ["cli", "viewer"],
 ]
 # In the order of the pipeline; other modules in stages/ are shared parts.

@@ -1,0 +1,124 @@
+"""Parameters of the tracker, one frozen section a part, as in `inhand.config`."""
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from inhand.config import (
+    EstimatorConfig,
+    NonNegative,
+    Real,
+    Section,
+    Share,
+)
+
+
+@dataclass(frozen=True)
+class ViewConfig(Section):
+    """The part of the image that is looked at."""
+
+    pixel_spacing: float = 0.0013
+    """Distance of neighbouring pixels at the hand [m]: pixels that lie closer are left out."""
+    margin: NonNegative = 0.015
+    """Added to hand and object where they are expected [m]."""
+
+
+@dataclass(frozen=True)
+class StartConfig(Section):
+    """How well an answer of the estimator is known, as standard deviations."""
+
+    wrist_turn: float = 0.02
+    """[rad] per axis."""
+    wrist_shift: float = 0.003
+    """[m] per axis."""
+    joint: float = 0.2
+    """[rad]; of a sliding joint times `HandStateConfig.slide_scale`."""
+    object_turn: float = 0.1
+    """[rad] per axis."""
+    object_shift: float = 0.005
+    """[m] per axis."""
+
+
+@dataclass(frozen=True)
+class HandTrackConfig(Section):
+    """Following of wrist and fingers."""
+
+    iterations: int = 4
+    """Gauss-Newton iterations."""
+    width: float = 0.005
+    """Width of the redescending weight [m]."""
+    stride: int = 1
+    """Every so-many-th point takes part."""
+    point_information: float = 2.0e4
+    """Information of one surface point [1/m^2], see `HandStateConfig.point_information`."""
+    wrist_motion: float = 0.01
+    """Sd of how the error of the given wrist pose changes [m/sqrt(s)]."""
+    wrist_turn: float = 0.04
+    """Sd of how its rotation does [rad/sqrt(s)]."""
+    joint_motion: float = 0.15
+    """Sd of how a joint moves [rad/sqrt(s)]; of a sliding joint times
+    `HandStateConfig.slide_scale`."""
+    anchor: float = 100.0
+    """The given wrist pose, with the estimator's sd, counts as one measurement in so many images:
+    its error is the same in all of them."""
+
+
+@dataclass(frozen=True)
+class ObjectTrackConfig(Section):
+    """Following of the object."""
+
+    points: int = 300
+    """About how many segment points and how many model points are used in the fit."""
+    iterations: int = 4
+    """Gauss-Newton iterations of every start."""
+    first_width: float = 0.007
+    """Width of the redescending weight in the first iteration [m]."""
+    last_width: float = 0.004
+    """And in the last [m]."""
+    image_weight: NonNegative = 0.3
+    """Weight of a visible model point against a segment point."""
+    fused_iterations: int = 2
+    """Iterations of the best start, held to the prediction."""
+    point_information: float = 2.0e4
+    """Information of one segment point in these [1/m^2]."""
+    still_motion: float = 0.001
+    """Sd of how an object moves that seems to be still in the hand [m/sqrt(s)]."""
+    still_turn: float = 0.008
+    """Sd of how it turns [rad/sqrt(s)]."""
+    agility: NonNegative = 2.0
+    """The sd of its motion from image to image is this times the recent motion, and more if it is
+    still."""
+    memory: Share = 0.6
+    """Weight of earlier images in the recent motion."""
+    start_lead: NonNegative = 0.02
+    """A start other than the prediction must score better by this."""
+
+
+@dataclass(frozen=True)
+class LossConfig(Section):
+    """How the tracker knows that it is lost."""
+
+    confidence_bias: Real = -1.6
+    """Log odds that a followed pose of score 0 is right."""
+    confidence_fit: float = 2.2
+    """Log odds per unit of score."""
+    low: Share = 0.5
+    """A pose of less confidence may be wrong."""
+    patience: int = 2
+    """Images in a row of low confidence after which the tracker is lost."""
+    accept: Share = 0.6
+    """A tracker that is lost takes a pose of this confidence or more."""
+
+
+@dataclass(frozen=True)
+class TrackerConfig(Section):
+    """All parameters of `PoseTracker`."""
+
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    """The estimator that starts and recovers; its sections also rule what the two share."""
+    rate: float = 30.0
+    """Images a second where `update` is told no time."""
+    view: ViewConfig = field(default_factory=ViewConfig)
+    start: StartConfig = field(default_factory=StartConfig)
+    hand: HandTrackConfig = field(default_factory=HandTrackConfig)
+    object: ObjectTrackConfig = field(default_factory=ObjectTrackConfig)
+    loss: LossConfig = field(default_factory=LossConfig)

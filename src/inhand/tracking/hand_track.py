@@ -1,0 +1,102 @@
+"""Wrist and fingers in the next image, from where they are expected."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from inhand.errors import NoAnswer
+from inhand.packed import PackedHand
+from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
+from inhand.stages.hand_visibility import HandVisibility
+from inhand.stages.observation import Observation
+from inhand.stages.results import HandState
+from inhand.tracking.config import TrackerConfig
+from inhand.tracking.gaussian import Array, moved, twist_between
+from inhand.tracking.track import Track
+
+ORIGIN = np.zeros(3)
+"""The wrist turns about its own origin."""
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedHand:
+    """The hand in an image."""
+
+    state: HandState
+    """Where it is."""
+    covariance: Array
+    """Of the wrist's twist and the joints, shape (6 + n, 6 + n)."""
+
+
+def follow_hand(
+    observation: Observation, hand: PackedHand, track: Track, config: TrackerConfig
+) -> FollowedHand:
+    """Gauss-Newton over wrist and joints, held to the prediction as firmly as that is known.
+
+    Args:
+        observation: the image.
+        hand: the hand.
+        track: the track as predicted.
+        config: parameters.
+
+    Raises:
+        NoAnswer: the image does not show the hand there.
+    """
+    c, wrist = config.hand, config.estimator.wrist
+    fit = ArticulatedFit(
+        observation,
+        hand,
+        used=np.ones(len(hand.hand.links), dtype=bool),
+        free=np.ones(len(hand.hand.joint_names), dtype=bool),
+        prior=WristPrior(track.given, wrist.prior_sd_rotation, wrist.prior_sd_translation),
+        point_information=c.point_information,
+        joint_damping=1.0,
+    ).begin(track.joint_vector[None], track.T_camera_hand[None], np.array([c.width]), c.stride)
+    prior = np.linalg.inv(track.hand_covariance)
+    anchor = np.zeros_like(prior)
+    sd = np.array([wrist.prior_sd_rotation] * 3 + [wrist.prior_sd_translation] * 3)
+    anchor[range(6), range(6)] = sd**-2.0 / c.anchor
+    T, q = track.T_camera_hand, track.joint_vector
+    for _ in range(c.iterations):
+        fit.assemble()
+        H = c.stride * c.point_information * fit.H.numpy()[0] + prior + anchor
+        g = c.stride * c.point_information * fit.g.numpy()[0]
+        g += prior @ _way(T, q, track.T_camera_hand, track.joint_vector)
+        g += anchor @ _way(T, q, track.given, q)
+        step = np.linalg.solve(H, g)
+        T = moved(T, step[:6], ORIGIN)
+        q = np.clip(q + step[6:], hand.hand.lower, hand.hand.upper)
+        fit.T_camera_hand.assign(T[None])
+        fit.q.assign(q[None])
+    certain = _certain_links(observation, hand, T, q, config)
+    state = HandState(q, T, hand.link_poses(q[None], T[None])[0], certain)
+    return FollowedHand(state, np.linalg.inv(H))
+
+
+def _way(T_from: Array, q_from: Array, T_to: Array, q_to: Array) -> Array:
+    """Twist of the wrist and change of the joints from one hand to another, (6 + n,)."""
+    return np.concatenate([twist_between(T_from, T_to, ORIGIN), q_to - q_from])
+
+
+def _certain_links(
+    observation: Observation, hand: PackedHand, T: Array, q: Array, config: TrackerConfig
+) -> Array:
+    """Whether the image supports each link, (L,); the palm's always count.
+
+    Raises:
+        NoAnswer: it does not support the hand as a whole.
+    """
+    c = config.estimator.hand_state
+    visibility = HandVisibility(observation, hand, c)
+
+    def support(part) -> float:
+        score, seen = visibility.score(part, q[None, part.joints], T[None])
+        return float(score[0]) / max(float(seen[0]), c.min_seen)
+
+    if support(hand.whole) < c.min_hand_support:
+        raise NoAnswer("the image does not show the hand where it is expected")
+    certain = hand.is_palm.copy()
+    for links in hand.finger_links:
+        for link in links:
+            certain[link.links] = support(link) > c.certain_support
+    return certain

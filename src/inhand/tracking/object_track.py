@@ -1,0 +1,83 @@
+"""The object in the next image, from where it is expected."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from inhand.kernels.hand_fit import TERMS
+from inhand.kernels.launch import launch
+from inhand.packed import PackedObject
+from inhand.stages.evidence import Evidence, score_with_contact
+from inhand.stages.refinement import fit_to_field
+from inhand.tracking.config import TrackerConfig
+from inhand.tracking.gaussian import Array, moved, system_of, twist_between
+from inhand.tracking.kernels import object_terms
+from inhand.tracking.track import Track
+
+BLOCKS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedObject:
+    """The object in an image."""
+
+    T_camera_object: Array
+    """Its pose, shape (4, 4)."""
+    covariance: Array
+    """Of its twist about the centre, shape (6, 6)."""
+    innovation: Array
+    """Twist from where it was expected to where the image alone has it, shape (6,)."""
+    score: float
+    """Score of the pose, as in the estimator's selection."""
+
+
+def follow_object(
+    evidence: Evidence, obj: PackedObject, track: Track, starts: Array, config: TrackerConfig
+) -> FollowedObject:
+    """Refine and score starts; hold the best to the prediction as firmly as that is known.
+
+    Args:
+        evidence: the image.
+        obj: the object.
+        track: the track as predicted.
+        starts: poses, shape (s, 4, 4), the prediction first.
+        config: parameters.
+    """
+    c, centre = config.object, obj.model.centre
+    widths = c.first_width, c.last_width
+    fitted = fit_to_field(
+        evidence, obj, c.image_weight, starts.astype(np.float32), c.points, c.iterations, widths
+    )
+    score = score_with_contact(evidence, obj, fitted, config.estimator.selection)
+    score[0] += c.start_lead
+    best = int(np.argmax(score))
+    score[0] -= c.start_lead
+    T = fitted[best].astype(np.float64)
+    innovation = twist_between(track.T_camera_object, T, centre)
+    prior = np.linalg.inv(track.object_covariance)
+    for _ in range(c.fused_iterations):
+        A, b = _system(evidence, obj, T, config)
+        H = c.point_information * A + prior
+        way = twist_between(T, track.T_camera_object, centre)
+        T = moved(T, np.linalg.solve(H, c.point_information * b + prior @ way), centre)
+    return FollowedObject(T, np.linalg.inv(H), innovation, float(score[best]))
+
+
+def _system(
+    evidence: Evidence, obj: PackedObject, T: Array, config: TrackerConfig
+) -> tuple[Array, Array]:
+    """Gauss-Newton system of the image at pose `T`, (6, 6) and (6,)."""
+    c = config.object
+    terms = wp.empty(BLOCKS * TERMS, dtype=float, device=obj.device)
+    n, stride = min(c.points, len(obj.points)), evidence.stride(c.points)
+    launch(
+        object_terms,
+        BLOCKS,
+        [evidence.arrays, wp.mat44(*T.astype(np.float32).reshape(-1).tolist())]
+        + [obj.points, obj.normals, n, obj.fields, wp.vec3(*obj.model.centre.tolist())]
+        + [c.last_width, stride, c.image_weight, BLOCKS, terms],
+        obj.device,
+        work_per_item=(c.points + n) // BLOCKS,
+    )
+    return system_of(terms.numpy().reshape(BLOCKS, TERMS).sum(axis=0, dtype=np.float64))
