@@ -16,8 +16,8 @@ from inhand.config import (
 class ViewConfig(Section):
     """The part of the image that is looked at."""
 
-    pixel_spacing: float = 0.0013
-    """Distance of neighbouring pixels at the hand [m]: pixels that lie closer are left out."""
+    pixel_spacing: float = 0.0018
+    """About the distance of neighbouring pixels at the hand [m]: those between are left out."""
     margin: NonNegative = 0.015
     """Added to hand and object where they are expected [m]."""
 
@@ -42,7 +42,7 @@ class StartConfig(Section):
 class HandTrackConfig(Section):
     """Following of wrist and fingers."""
 
-    iterations: int = 4
+    iterations: int = 3
     """Gauss-Newton iterations."""
     width: float = 0.005
     """Width of the redescending weight [m]."""
@@ -66,6 +66,10 @@ class HandTrackConfig(Section):
 class ObjectTrackConfig(Section):
     """Following of the object."""
 
+    near: float = 0.015
+    """Scene points farther from where the object is expected are not the object's [m]."""
+    min_points: int = 10
+    """With fewer points that are the object's, it is hidden."""
     points: int = 300
     """About how many segment points and how many model points are used in the fit."""
     iterations: int = 4

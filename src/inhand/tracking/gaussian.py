@@ -23,9 +23,19 @@ def moved(T: Array, twist: Array, pivot: Array) -> Array:
 
 def twist_between(T_from: Array, T_to: Array, pivot: Array) -> Array:
     """The twist, shape (6,), that moves one pose (4, 4) to another."""
-    turn = Rotation.from_matrix(T_to[:3, :3] @ T_from[:3, :3].T).as_rotvec()
+    turn = rotation_vector(T_to[:3, :3] @ T_from[:3, :3].T)
     way = (T_to - T_from)[:3, :3] @ pivot + (T_to - T_from)[:3, 3]
     return np.concatenate([turn, way])
+
+
+def rotation_vector(R: Array) -> Array:
+    """Axis times angle [rad], shape (3,), of a rotation (3, 3)."""
+    cosine = (np.trace(R) - 1) / 2
+    if cosine < -0.9:  # near half a turn the axis does not show in the next line
+        return np.asarray(Rotation.from_matrix(R).as_rotvec())
+    sines = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    sine = np.sqrt(sines @ sines)
+    return np.asarray(sines * (np.arctan2(sine, cosine) / sine if sine > 1e-12 else 1.0))
 
 
 def carried(covariance: Array, R: Array) -> Array:

@@ -3,15 +3,19 @@
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
+from numpy.typing import NDArray
 
 from inhand.errors import NoAnswer
-from inhand.packed import PackedHand
-from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
-from inhand.stages.hand_visibility import HandVisibility
+from inhand.kernels.hand_fit import Visibility
+from inhand.kernels.launch import launch
+from inhand.packed import PackedHand, device_poses
+from inhand.stages.articulated_fit import ArticulatedFit, WristPrior, depth_view
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, moved, twist_between
+from inhand.tracking.kernels import link_support
 from inhand.tracking.track import Track
 
 ORIGIN = np.zeros(3)
@@ -68,8 +72,9 @@ def follow_hand(
         q = np.clip(q + step[6:], hand.hand.lower, hand.hand.upper)
         fit.T_camera_hand.assign(T[None])
         fit.q.assign(q[None])
-    certain = _certain_links(observation, hand, T, q, config)
-    state = HandState(q, T, hand.link_poses(q[None], T[None])[0], certain)
+    T_camera_link = hand.link_poses(q[None], T[None])[0]
+    certain = _certain_links(observation, hand, T_camera_link, config)
+    state = HandState(q, T, T_camera_link, certain)
     return FollowedHand(state, np.linalg.inv(H))
 
 
@@ -79,24 +84,29 @@ def _way(T_from: Array, q_from: Array, T_to: Array, q_to: Array) -> Array:
 
 
 def _certain_links(
-    observation: Observation, hand: PackedHand, T: Array, q: Array, config: TrackerConfig
-) -> Array:
+    observation: Observation, hand: PackedHand, T_camera_link: Array, config: TrackerConfig
+) -> NDArray[np.bool_]:
     """Whether the image supports each link, (L,); the palm's always count.
 
     Raises:
         NoAnswer: it does not support the hand as a whole.
     """
-    c = config.estimator.hand_state
-    visibility = HandVisibility(observation, hand, c)
-
-    def support(part) -> float:
-        score, seen = visibility.score(part, q[None, part.joints], T[None])
-        return float(score[0]) / max(float(seen[0]), c.min_seen)
-
-    if support(hand.whole) < c.min_hand_support:
+    c, device = config.estimator.hand_state, hand.device
+    rule = Visibility()
+    rule.tolerance = max(c.fine_tolerance, c.noise_tolerance * observation.noise)
+    rule.violation, rule.missing, rule.hidden = c.violation, c.missing, c.hidden
+    links = len(hand.hand.links)
+    sums = wp.empty(links, dtype=wp.vec3, device=device)
+    launch(
+        link_support,
+        links,
+        [depth_view(observation), rule, device_poses(T_camera_link, device), hand.points]
+        + [hand.normals, wp.array(hand.point_start, dtype=int, device=device), c.fine_points, sums],
+        device,
+        work_per_item=c.fine_points,
+    )
+    score, seen, area = sums.numpy().T.astype(np.float64)
+    if score.sum() < c.min_hand_support * max(seen.sum(), c.min_seen * area.sum()):
         raise NoAnswer("the image does not show the hand where it is expected")
-    certain = hand.is_palm.copy()
-    for links in hand.finger_links:
-        for link in links:
-            certain[link.links] = support(link) > c.certain_support
-    return certain
+    supported = score > c.certain_support * np.maximum(seen, c.min_seen * area)
+    return np.asarray(supported | hand.is_palm)

@@ -1,12 +1,113 @@
-"""The object's Gauss-Newton system, summed where a pose is."""
+"""What the tracker computes on the device: where the hand is seen, what is the object's, its fit."""
 
 import warp as wp
 
+from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields, field_at
-from inhand.kernels.hand_fit import TERMS, add_term, pixel_of, redescending
+from inhand.kernels.hand_fit import (
+    TERMS,
+    DepthView,
+    Visibility,
+    add_term,
+    judge_point,
+    pixel_of,
+    redescending,
+)
 from inhand.kernels.object_fit import ObjectEvidence, hand_depth_at
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def link_support(
+    view: DepthView,
+    rule: Visibility,
+    T_camera_link: wp.array(dtype=wp.mat44),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    start: wp.array(dtype=int),
+    most: int,
+    sums: wp.array(dtype=wp.vec3),
+    first: int,
+):
+    """One work item a link: judgements of its camera-facing surface samples.
+
+    Args (beyond the obvious):
+        points, normals: surface samples of all links, link frames.
+        start: first sample of every link, and the end of the last.
+        most: about how many samples of a link are used.
+        sums: out, sums of the judgements, of the area that nothing hides, and of the area.
+    """
+    k = first + wp.tid()
+    T = T_camera_link[k]
+    total = float(0.0)
+    open_area = float(0.0)
+    area = float(1.0e-6)
+    stride = wp.max(1, (start[k + 1] - start[k]) // most)
+    for i in range(start[k], start[k + 1], stride):
+        p = wp.transform_point(T, points[i])
+        n = wp.transform_vector(T, normals[i])
+        facing = -wp.dot(n, p) / wp.length(p)
+        if facing < 0.1:
+            continue
+        area += facing
+        pixel = pixel_of(view.camera, p)
+        if pixel < 0:
+            continue
+        d = view.depth[pixel]
+        if d <= 0.0 or d > p[2] - rule.tolerance:
+            open_area += facing
+        total += facing * judge_point(view, rule, p, n, pixel)
+    sums[k] = wp.vec3(total, open_area, area)
+
+
+@wp.func
+def not_hand(distance: float, none: float, all: float):
+    """Probability that a point at this distance from the hand [m] is not the hand's."""
+    if distance <= none:
+        return 0.0
+    return wp.clamp((distance - none) / (all - none), 0.1, 1.0)
+
+
+@wp.kernel
+def object_weights(
+    points: wp.array(dtype=wp.vec3),
+    links: Fields,
+    spheres: wp.array(dtype=wp.vec4),
+    T_camera_link: wp.array(dtype=wp.mat44),
+    certain: wp.array(dtype=int),
+    uncertain: wp.array(dtype=int),
+    obj: Fields,
+    T_camera_object: wp.mat44,
+    near: float,
+    none: float,
+    all: float,
+    share: float,
+    weight: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a scene point: probability that it is the object's.
+
+    Args (beyond the obvious):
+        certain, uncertain: per link, 1 if the image supports it, and if it does not.
+        T_camera_object: where the object is expected.
+        near: a point farther from it than this is not the object's [m].
+        none, all: distances to the hand up to which a point is the hand's, and from which on it is
+            certainly not [m].
+        share: weight of a point that only an uncertain link explains.
+        weight: out.
+    """
+    i = first + wp.tid()
+    p = points[i]
+    weight[i] = 0.0
+    t = wp.vec3(T_camera_object[0, 3], T_camera_object[1, 3], T_camera_object[2, 3])
+    local = wp.transform_vector(wp.transpose(T_camera_object), p - t)
+    if field_at(obj, 0, local)[0] > near:
+        return
+    to_certain, _g, _k = nearest_body(links, spheres, T_camera_link, 0, certain, 0, p, all)
+    to_uncertain, _h, _l = nearest_body(links, spheres, T_camera_link, 0, uncertain, 0, p, all)
+    doubt = not_hand(wp.min(to_certain, to_uncertain), none, all)
+    weight[i] = not_hand(to_certain, none, all) * (share + (1.0 - share) * doubt)
 
 
 @wp.kernel

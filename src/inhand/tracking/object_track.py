@@ -1,18 +1,22 @@
 """The object in the next image, from where it is expected."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from inhand.errors import NoAnswer
 from inhand.kernels.hand_fit import TERMS
 from inhand.kernels.launch import launch
-from inhand.packed import PackedObject
+from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.evidence import Evidence, score_with_contact
+from inhand.stages.observation import Observation
 from inhand.stages.refinement import fit_to_field
+from inhand.stages.results import HandState, Segment
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, moved, system_of, twist_between
-from inhand.tracking.kernels import object_terms
+from inhand.tracking.kernels import object_terms, object_weights
 from inhand.tracking.track import Track
 
 BLOCKS = 8
@@ -30,6 +34,47 @@ class FollowedObject:
     """Twist from where it was expected to where the image alone has it, shape (6,)."""
     score: float
     """Score of the pose, as in the estimator's selection."""
+
+
+def segment_near(
+    observation: Observation,
+    state: HandState,
+    track: Track,
+    hand: PackedHand,
+    obj: PackedObject,
+    config: TrackerConfig,
+) -> Segment:
+    """The object segment: scene points near where the object is expected that are not the hand's.
+
+    Raises:
+        NoAnswer: there are too few.
+    """
+    c, near, device = config.estimator.segmentation, config.object, obj.device
+    weight = wp.empty(len(observation.points), dtype=float, device=device)
+    launch(
+        object_weights,
+        len(weight),
+        [wp.array(observation.points, dtype=wp.vec3, device=device), hand.fields, hand.spheres]
+        + [device_poses(state.T_camera_link, device)]
+        + [
+            wp.array(links.astype(np.int32), device=device)
+            for links in (state.certain, ~state.certain)
+        ]
+        + [obj.fields, _mat44(track.T_camera_object), near.near]
+        + [c.hand_distance, c.certain_distance, c.uncertain_weight, weight],
+        device,
+        work_per_item=10,
+    )
+    weights = weight.numpy()
+    keep = np.flatnonzero(weights > 0)
+    if weights.sum() < near.min_points:
+        raise NoAnswer(
+            f"only {len(keep)} depth readings show the object where it is expected: it is hidden, "
+            "or has left that place"
+        )
+    # How far the points are from the hand matters only to those who draw pairs of them.
+    unused = np.zeros(len(keep), dtype=np.float32)
+    return Segment(observation.points[keep], observation.normals[keep], unused, weights[keep])
 
 
 def follow_object(
@@ -74,10 +119,15 @@ def _system(
     launch(
         object_terms,
         BLOCKS,
-        [evidence.arrays, wp.mat44(*T.astype(np.float32).reshape(-1).tolist())]
+        [evidence.arrays, _mat44(T)]
         + [obj.points, obj.normals, n, obj.fields, wp.vec3(*obj.model.centre.tolist())]
         + [c.last_width, stride, c.image_weight, BLOCKS, terms],
         obj.device,
         work_per_item=(c.points + n) // BLOCKS,
     )
     return system_of(terms.numpy().reshape(BLOCKS, TERMS).sum(axis=0, dtype=np.float64))
+
+
+def _mat44(T: Array) -> Any:
+    """A pose (4, 4) as a kernel argument."""
+    return wp.mat44(*T.reshape(-1).tolist())

@@ -16,12 +16,11 @@ from inhand.object_model import ObjectModel
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
-from inhand.stages.segmentation import segment_object
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, about_origin
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import confidence_of
-from inhand.tracking.object_track import FollowedObject, follow_object
+from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
 from inhand.tracking.track import Track, begun, predicted, starts_of, with_hand, with_object
 from inhand.tracking.view import look_at
 
@@ -132,7 +131,7 @@ class PoseTracker:
         self, observation: Observation, state: HandState, track: Track
     ) -> FollowedObject:
         c, hand, obj = self.config.estimator, self._hand, self._object
-        segment = segment_object(observation, state, hand, obj.model.diameter, c.segmentation)
+        segment = segment_near(observation, state, track, hand, obj, self.config)
         evidence = gather_evidence(observation, state, segment, hand, c.evidence)
         return follow_object(evidence, obj, track, starts_of(track), self.config)
 

@@ -36,7 +36,7 @@ def look_at(
     """
     centre, radius = _sphere(track, hand, obj)
     distance = max(float(se3.transform(track.T_camera_hand, centre[None])[0, 2]), NEAREST)
-    step = max(1, int(config.view.pixel_spacing * camera.fx / distance))
+    step = max(1, round(config.view.pixel_spacing * camera.fx / distance))
     return observe(
         image[::step, ::step],
         camera.subsampled(step),
