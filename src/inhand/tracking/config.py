@@ -1,7 +1,6 @@
 """Parameters of the tracker, one frozen section a part, as in `inhand.config`."""
 
 from dataclasses import dataclass, field
-from typing import Annotated
 
 from inhand.config import (
     EstimatorConfig,
@@ -63,6 +62,22 @@ class HandTrackConfig(Section):
 
 
 @dataclass(frozen=True)
+class FingerSearchConfig(Section):
+    """Search for fingers that the last image did not support where they were."""
+
+    near: int = 64
+    """Configurations tried around the last one."""
+    spread: float = 0.25
+    """Sd of these [rad]; of a sliding joint times `HandStateConfig.slide_scale`."""
+    anywhere: int = 64
+    """Configurations tried all over the finger's range."""
+    lead: NonNegative = 0.1
+    """A finger moves to a configuration that scores better by this."""
+    render_step: int = 2
+    """Object and other links are rendered at every so-many-th pixel."""
+
+
+@dataclass(frozen=True)
 class ObjectTrackConfig(Section):
     """Following of the object."""
 
@@ -110,7 +125,11 @@ class LossConfig(Section):
     patience: int = 2
     """Images in a row of low confidence after which the tracker is lost."""
     accept: Share = 0.6
-    """A tracker that is lost takes a pose of this confidence or more."""
+    """A tracker that is lost takes a pose of this confidence or more ..."""
+    accept_elsewhere: Share = 0.85
+    """... and one of this if it is not where the object was expected."""
+    elsewhere: float = 0.01
+    """Mean distance of the surfaces from which on it is not [m]."""
 
 
 @dataclass(frozen=True)
@@ -124,5 +143,6 @@ class TrackerConfig(Section):
     view: ViewConfig = field(default_factory=ViewConfig)
     start: StartConfig = field(default_factory=StartConfig)
     hand: HandTrackConfig = field(default_factory=HandTrackConfig)
+    fingers: FingerSearchConfig = field(default_factory=FingerSearchConfig)
     object: ObjectTrackConfig = field(default_factory=ObjectTrackConfig)
     loss: LossConfig = field(default_factory=LossConfig)

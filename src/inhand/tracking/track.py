@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from inhand.estimate import PoseEstimate
 from inhand.geometry import se3
@@ -24,6 +25,8 @@ class Track:
     """Independent joint positions [rad, m], shape (n,)."""
     hand_covariance: Array
     """Of the wrist's twist about its origin and the joints, shape (6 + n, 6 + n)."""
+    certain: NDArray[np.bool_]
+    """Whether the last image supported each link where it was, shape (L,)."""
     T_camera_object: Array
     """Estimated pose of the object, shape (4, 4)."""
     object_covariance: Array
@@ -52,6 +55,7 @@ def begun(estimate: PoseEstimate, given: Array, hand: Hand, config: TrackerConfi
         T_camera_hand=estimate.T_camera_hand,
         joint_vector=hand.joint_vector(estimate.joint_positions),
         hand_covariance=np.diag(np.concatenate([wrist, c.joint * joint_scale(hand, config)]) ** 2),
+        certain=np.zeros(len(hand.links), dtype=bool),
         T_camera_object=estimate.T_camera_object,
         object_covariance=np.diag(np.array([c.object_turn] * 3 + [c.object_shift] * 3) ** 2),
         motion=np.zeros(6),
@@ -103,6 +107,7 @@ def with_hand(track: Track, hand: "FollowedHand") -> Track:
         T_camera_hand=hand.state.T_camera_hand,
         joint_vector=hand.state.joint_vector,
         hand_covariance=hand.covariance,
+        certain=hand.state.certain,
     )
 
 

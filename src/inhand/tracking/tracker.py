@@ -13,10 +13,12 @@ from inhand.estimate import Candidate, PoseEstimate
 from inhand.estimator import Clock, PoseEstimator, check_depth, check_wrist
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
+from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
+from inhand.tracking.finger_search import find_lost_fingers
 from inhand.tracking.gaussian import Array, about_origin
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import confidence_of
@@ -55,6 +57,7 @@ class PoseTracker:
     def reset(self) -> None:
         """Forget all images; the next one starts anew."""
         self._track: Track | None = None
+        self._rng = np.random.default_rng(self.config.estimator.seed)
         self._lost = True
         self._time: float | None = None
 
@@ -112,6 +115,9 @@ class PoseTracker:
             observation = clock.time(
                 "observation", look_at, image, camera, track, hand, obj, config
             )
+            track = clock.time(
+                "fingers", find_lost_fingers, observation, hand, obj, track, config, self._rng
+            )
             found_hand = clock.time("hand", follow_hand, observation, hand, track, config)
             self._track = track = with_hand(track, found_hand)
             found = clock.time("object", self._follow_object, observation, found_hand.state, track)
@@ -143,12 +149,22 @@ class PoseTracker:
         clock.seconds.update(estimate.timings)
         if not estimate.found:
             return replace(estimate, timings=clock.seconds)
-        if estimate.confidence < self.config.loss.accept:
+        if estimate.confidence < self._wanted(estimate):
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._no_answer(reason, clock)
         self._lost = False
         self._track = begun(estimate, given, self._hand.hand, self.config)
         return replace(estimate, timings=clock.seconds, covariance=self._covariance())
+
+    def _wanted(self, estimate: PoseEstimate) -> float:
+        """Confidence that an answer of the estimator must have to be taken."""
+        loss, track, T = self.config.loss, self._track, estimate.T_camera_object
+        if track is None or T is None:
+            return loss.accept
+        expected = track.T_camera_object.astype(np.float32)
+        one = T[None].astype(np.float32)
+        apart = surface_distances_to(one, expected, self._object, 2 * loss.elsewhere)[0]
+        return loss.accept if apart < loss.elsewhere else loss.accept_elsewhere
 
     def _answer(self, score: float, confidence: float, clock: Clock) -> PoseEstimate:
         track = self._track
