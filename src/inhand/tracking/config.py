@@ -116,14 +116,21 @@ class ObjectTrackConfig(Section):
 class LossConfig(Section):
     """How the tracker knows that it is lost."""
 
-    confidence_bias: Real = -1.6
-    """Log odds that a followed pose of score 0 is right."""
-    confidence_fit: float = 2.2
-    """Log odds per unit of score."""
-    low: Share = 0.5
-    """A pose of less confidence may be wrong."""
-    patience: int = 2
-    """Images in a row of low confidence after which the tracker is lost."""
+    evidence_bias: Real = -3.15
+    """What a score of 0 adds to the log odds that a followed pose is right. This and the next are a
+    logistic regression over poses followed through generated sequences, and over others that began
+    away from the truth, less the log odds of a right one among them; see docs/tracking.md."""
+    evidence_fit: float = 2.76
+    """What a unit of score adds."""
+    loss_rate: Share = 0.02
+    """Probability that a pose is lost from one image to the next."""
+    most: Share = 0.95
+    """A pose counts as no surer than this in the next image: what deceives the score in one image
+    does so in the next."""
+    lost: Share = 0.3
+    """A pose of less confidence is given up."""
+    again: Share = 0.5
+    """Probability that an object which was lost is where it is expected."""
     accept: Share = 0.6
     """A tracker that is lost takes a pose of this confidence or more ..."""
     accept_elsewhere: Share = 0.85

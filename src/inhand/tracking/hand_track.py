@@ -1,6 +1,6 @@
 """Wrist and fingers in the next image, from where they are expected."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -30,6 +30,16 @@ class FollowedHand:
     """Where it is."""
     covariance: Array
     """Of the wrist's twist and the joints, shape (6 + n, 6 + n)."""
+
+    def kept_in(self, track: Track) -> Track:
+        """The track with this hand."""
+        return replace(
+            track,
+            T_camera_hand=self.state.T_camera_hand,
+            joint_vector=self.state.joint_vector,
+            hand_covariance=self.covariance,
+            certain=self.state.certain,
+        )
 
 
 def follow_hand(

@@ -1,4 +1,4 @@
-"""What the tracker computes on the device: where the hand is seen, what is the object's, its fit."""
+"""What the tracker computes on the device: which links are seen, the object's points, its fit."""
 
 import warp as wp
 

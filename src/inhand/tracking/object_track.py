@@ -1,6 +1,6 @@
 """The object in the next image, from where it is expected."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,17 @@ class FollowedObject:
     """Twist from where it was expected to where the image alone has it, shape (6,)."""
     score: float
     """Score of the pose, as in the estimator's selection."""
+
+    def kept_in(self, track: Track, confidence: float, config: TrackerConfig) -> Track:
+        """The track with the object here, right with this probability."""
+        keep = config.object.memory
+        return replace(
+            track,
+            T_camera_object=self.T_camera_object,
+            object_covariance=self.covariance,
+            motion=keep * track.motion + (1 - keep) * self.innovation,
+            confidence=confidence,
+        )
 
 
 def segment_near(

@@ -11,6 +11,7 @@ from inhand.hand import Hand
 from inhand.kinematics import PRISMATIC
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, carried
+from inhand.tracking.loss import expected_confidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +34,8 @@ class Track:
     """Of its twist about the object's centre, shape (6, 6)."""
     motion: Array
     """Recent twist per image beyond what was predicted, shape (6,)."""
-    doubtful: int = 0
-    """Images in a row of low confidence."""
+    confidence: float
+    """Probability that the object's pose is right."""
 
 
 def begun(estimate: PoseEstimate, given: Array, hand: Hand, config: TrackerConfig) -> Track:
@@ -59,6 +60,7 @@ def begun(estimate: PoseEstimate, given: Array, hand: Hand, config: TrackerConfi
         T_camera_object=estimate.T_camera_object,
         object_covariance=np.diag(np.array([c.object_turn] * 3 + [c.object_shift] * 3) ** 2),
         motion=np.zeros(6),
+        confidence=estimate.confidence,
     )
 
 
@@ -92,37 +94,13 @@ def predicted(
         T_camera_object=step @ track.T_camera_object,
         object_covariance=carried(track.object_covariance, R) + noise,
         motion=np.concatenate([R @ track.motion[:3], R @ track.motion[3:]]),
+        confidence=expected_confidence(track.confidence, config.loss),
     )
 
 
 def starts_of(track: Track) -> Array:
     """Poses of the object to start from, shape (s, 4, 4), the prediction first."""
     return track.T_camera_object[None]
-
-
-def with_hand(track: Track, hand: "FollowedHand") -> Track:
-    """The track with the hand as an image shows it."""
-    return replace(
-        track,
-        T_camera_hand=hand.state.T_camera_hand,
-        joint_vector=hand.state.joint_vector,
-        hand_covariance=hand.covariance,
-        certain=hand.state.certain,
-    )
-
-
-def with_object(
-    track: Track, found: "FollowedObject", doubtful: int, config: TrackerConfig
-) -> Track:
-    """The track with the object as an image shows it."""
-    keep = config.object.memory
-    return replace(
-        track,
-        T_camera_object=found.T_camera_object,
-        object_covariance=found.covariance,
-        motion=keep * track.motion + (1 - keep) * found.innovation,
-        doubtful=doubtful,
-    )
 
 
 def joint_scale(hand: Hand, config: TrackerConfig) -> Array:

@@ -21,9 +21,9 @@ from inhand.tracking.config import TrackerConfig
 from inhand.tracking.finger_search import find_lost_fingers
 from inhand.tracking.gaussian import Array, about_origin
 from inhand.tracking.hand_track import follow_hand
-from inhand.tracking.loss import confidence_of
+from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
-from inhand.tracking.track import Track, begun, predicted, starts_of, with_hand, with_object
+from inhand.tracking.track import Track, begun, predicted, starts_of
 from inhand.tracking.view import look_at
 
 
@@ -119,19 +119,20 @@ class PoseTracker:
                 "fingers", find_lost_fingers, observation, hand, obj, track, config, self._rng
             )
             found_hand = clock.time("hand", follow_hand, observation, hand, track, config)
-            self._track = track = with_hand(track, found_hand)
+            self._track = track = found_hand.kept_in(track)
             found = clock.time("object", self._follow_object, observation, found_hand.state, track)
         except NoAnswer as problem:
             self._lost = True
             return self._no_answer(str(problem), clock)
-        confidence = confidence_of(found.score, config.loss)
-        doubtful = 0 if confidence >= config.loss.low else track.doubtful + 1
-        if (self._lost and confidence < config.loss.accept) or doubtful > config.loss.patience:
+        loss = config.loss
+        expected = loss.again if self._lost else track.confidence
+        confidence = seen_confidence(expected, found.score, loss)
+        if confidence < (loss.accept if self._lost else loss.lost):
             self._lost = True
             return self._no_answer("the image does not show the object where it is expected", clock)
         self._lost = False
-        self._track = with_object(track, found, doubtful, config)
-        return self._answer(found.score, confidence, clock)
+        self._track = found.kept_in(track, confidence, config)
+        return self._answer(found.score, clock)
 
     def _follow_object(
         self, observation: Observation, state: HandState, track: Track
@@ -145,6 +146,9 @@ class PoseTracker:
         self, image: NDArray[np.float32], camera: Camera, given: Array, clock: Clock
     ) -> PoseEstimate:
         """The estimator's answer; if it is sure, the track goes on from there."""
+        # Every search draws anew: what one seed does not find, the next may.
+        seed = int(self._rng.integers(2**31))
+        self.estimator.config = replace(self.config.estimator, seed=seed)
         estimate = self.estimator.estimate(image, camera, given)
         clock.seconds.update(estimate.timings)
         if not estimate.found:
@@ -166,7 +170,7 @@ class PoseTracker:
         apart = surface_distances_to(one, expected, self._object, 2 * loss.elsewhere)[0]
         return loss.accept if apart < loss.elsewhere else loss.accept_elsewhere
 
-    def _answer(self, score: float, confidence: float, clock: Clock) -> PoseEstimate:
+    def _answer(self, score: float, clock: Clock) -> PoseEstimate:
         track = self._track
         assert track is not None
         return PoseEstimate(
@@ -175,7 +179,7 @@ class PoseTracker:
             T_camera_object=track.T_camera_object,
             joint_positions=self._hand.hand.joint_dict(track.joint_vector),
             T_camera_hand=track.T_camera_hand,
-            confidence=confidence,
+            confidence=track.confidence,
             candidates=(Candidate(track.T_camera_object, {"score": score}),),
             timings=clock.seconds,
             covariance=self._covariance(),
