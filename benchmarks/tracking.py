@@ -13,8 +13,8 @@ Prints a line a sequence, then a table of the targets:
 - recovery: images until a right answer (ADI < 5 mm), once a quarter of the object's silhouette has
   readings again after less than a tenth had.
 - jitter: where the true pose stays for 8 images or more, the standard deviation of the object's
-  centre, along each axis, and of its rotation, about each axis, past the stretch's first two images;
-  root mean square over stretches and axes.
+  centre, along each axis, and of its rotation, about each axis, past the stretch's first two
+  images; root mean square over stretches and axes.
 """
 
 import argparse

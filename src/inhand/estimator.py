@@ -252,6 +252,7 @@ class Clock:
         self.seconds: dict[str, float] = {}
 
     def time(self, stage: str, function: Callable[..., Result], *args: Any) -> Result:
+        """What `function` returns; its time is noted."""
         start = time.perf_counter()
         try:
             return function(*args)

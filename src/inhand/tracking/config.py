@@ -1,10 +1,13 @@
 """Parameters of the tracker, one frozen section a part, as in `inhand.config`."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from inhand.config import (
     EstimatorConfig,
+    HandStateConfig,
     NonNegative,
+    ObservationConfig,
     Real,
     Section,
     Share,
@@ -41,7 +44,7 @@ class StartConfig(Section):
 class HandTrackConfig(Section):
     """Following of wrist and fingers."""
 
-    iterations: int = 3
+    iterations: int = 2
     """Gauss-Newton iterations."""
     width: float = 0.005
     """Width of the redescending weight [m]."""
@@ -75,6 +78,8 @@ class FingerSearchConfig(Section):
     """A finger moves to a configuration that scores better by this."""
     render_step: int = 2
     """Object and other links are rendered at every so-many-th pixel."""
+    every: int = 3
+    """In so many images a finger is looked for once."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +100,8 @@ class ObjectTrackConfig(Section):
     """And in the last [m]."""
     image_weight: NonNegative = 0.3
     """Weight of a visible model point against a segment point."""
-    fused_iterations: int = 2
-    """Iterations of the best start, held to the prediction."""
     point_information: float = 2.0e4
-    """Information of one segment point in these [1/m^2]."""
+    """Information of one segment point [1/m^2] where the fit is weighed against the prediction."""
     still_motion: float = 0.001
     """Sd of how an object moves that seems to be still in the hand [m/sqrt(s)]."""
     still_turn: float = 0.008
@@ -153,3 +156,13 @@ class TrackerConfig(Section):
     fingers: FingerSearchConfig = field(default_factory=FingerSearchConfig)
     object: ObjectTrackConfig = field(default_factory=ObjectTrackConfig)
     loss: LossConfig = field(default_factory=LossConfig)
+
+    @cached_property
+    def observation(self) -> ObservationConfig:
+        """The estimator's section with the tracker's margin."""
+        return replace(self.estimator.observation, margin=self.view.margin)
+
+    @cached_property
+    def finger_score(self) -> HandStateConfig:
+        """The estimator's section with the finger search's rendering."""
+        return replace(self.estimator.hand_state, render_step=self.fingers.render_step)

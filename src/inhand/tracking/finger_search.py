@@ -38,8 +38,7 @@ def find_lost_fingers(
         config: parameters.
         rng: source of the configurations.
     """
-    c = config.fingers
-    shared = replace(config.estimator.hand_state, render_step=c.render_step)
+    c, shared = config.fingers, config.finger_score
     visibility = HandVisibility(observation, hand, shared)
     q, covariance = track.joint_vector.copy(), track.hand_covariance.copy()
     scale = joint_scale(hand.hand, config)

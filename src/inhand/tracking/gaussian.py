@@ -1,7 +1,7 @@
 """Poses with a Gaussian error, and what is known of them before and after looking.
 
-The error of a pose is a twist: a rotation vector [rad] about a pivot of the body, then the motion of
-that pivot [m], both along the camera's axes.
+The error of a pose is a twist: a rotation vector [rad] about a pivot of the body, then the motion
+of that pivot [m], both along the camera's axes.
 """
 
 import numpy as np

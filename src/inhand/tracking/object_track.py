@@ -112,11 +112,10 @@ def follow_object(
     T = fitted[best].astype(np.float64)
     innovation = twist_between(track.T_camera_object, T, centre)
     prior = np.linalg.inv(track.object_covariance)
-    for _ in range(c.fused_iterations):
-        A, b = _system(evidence, obj, T, config)
-        H = c.point_information * A + prior
-        way = twist_between(T, track.T_camera_object, centre)
-        T = moved(T, np.linalg.solve(H, c.point_information * b + prior @ way), centre)
+    A, b = _system(evidence, obj, T, config)
+    H = c.point_information * A + prior
+    way = twist_between(T, track.T_camera_object, centre)
+    T = moved(T, np.linalg.solve(H, c.point_information * b + prior @ way), centre)
     return FollowedObject(T, np.linalg.inv(H), innovation, float(score[best]))
 
 

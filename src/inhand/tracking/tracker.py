@@ -59,6 +59,7 @@ class PoseTracker:
         self._track: Track | None = None
         self._rng = np.random.default_rng(self.config.estimator.seed)
         self._lost = True
+        self._images = 0
         self._time: float | None = None
 
     @property
@@ -83,6 +84,7 @@ class PoseTracker:
         """
         image, given = check_depth(depth, camera), check_wrist(T_camera_hand)
         seconds, clock = self._since_last(time), Clock()
+        self._images += 1
         if self._track is not None:
             self._track = predicted(self._track, given, seconds, self._hand.hand, self.config)
             answer = self._follow(image, camera, self._track, clock)
@@ -115,9 +117,10 @@ class PoseTracker:
             observation = clock.time(
                 "observation", look_at, image, camera, track, hand, obj, config
             )
-            track = clock.time(
-                "fingers", find_lost_fingers, observation, hand, obj, track, config, self._rng
-            )
+            if self._images % config.fingers.every == 0:
+                track = clock.time(
+                    "fingers", find_lost_fingers, observation, hand, obj, track, config, self._rng
+                )
             found_hand = clock.time("hand", follow_hand, observation, hand, track, config)
             self._track = track = found_hand.kept_in(track)
             found = clock.time("object", self._follow_object, observation, found_hand.state, track)

@@ -1,7 +1,5 @@
 """The part of an image that shows hand and object where they are expected."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,7 +41,7 @@ def look_at(
         track.T_camera_hand,
         (centre, radius),
         0.0,
-        replace(config.estimator.observation, margin=config.view.margin),
+        config.observation,
         hand.device,
     )
 
