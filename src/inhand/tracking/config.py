@@ -75,7 +75,9 @@ class FingerSearchConfig(Section):
     anywhere: int = 64
     """Configurations tried all over the finger's range."""
     lead: NonNegative = 0.1
-    """A finger moves to a configuration that scores better by this."""
+    """A finger moves to a configuration that scores better by this ..."""
+    least: Real = 0.2
+    """... and this at least: out of sight, nothing speaks against anything."""
     render_step: int = 2
     """Object and other links are rendered at every so-many-th pixel."""
     every: int = 3
@@ -100,13 +102,13 @@ class ObjectTrackConfig(Section):
     """And in the last [m]."""
     image_weight: NonNegative = 0.3
     """Weight of a visible model point against a segment point."""
-    point_information: float = 2.0e4
+    point_information: float = 8.0e4
     """Information of one segment point [1/m^2] where the fit is weighed against the prediction."""
-    still_motion: float = 0.001
+    still_motion: float = 0.0005
     """Sd of how an object moves that seems to be still in the hand [m/sqrt(s)]."""
-    still_turn: float = 0.008
+    still_turn: float = 0.004
     """Sd of how it turns [rad/sqrt(s)]."""
-    agility: NonNegative = 2.0
+    agility: NonNegative = 1.0
     """The sd of its motion from image to image is this times the recent motion, and more if it is
     still."""
     memory: Share = 0.6

@@ -53,7 +53,7 @@ def find_lost_fingers(
             finger, tried, wrist, others, shared.coarse_tolerance, shared.coarse_points
         )
         best = int(score.argmax())
-        if score[best] < score[0] + c.lead:
+        if score[best] < max(score[0] + c.lead, c.least):
             continue
         q[joints] = tried[best]
         at = 6 + joints
