@@ -201,7 +201,8 @@ def test_an_object_that_jumps_is_found_again(moving: Film) -> None:
     for i in range(5, 10):
         noisy = with_errors(there, PROTOCOL, rng, scene.T_camera_hand_given)
         e = tracker.update(noisy.depth, CAMERA, scene.T_camera_hand_given)
-        close = e.found and adi(moving.tree, e.T_camera_object, there.T_camera_object) < 0.005
+        T = e.T_camera_object
+        close = T is not None and adi(moving.tree, T, there.T_camera_object) < 0.005
         right.append(close)
         assert close or not e.found or e.confidence < 0.5 or i < 8, "an undetected loss"
     assert right[-1]

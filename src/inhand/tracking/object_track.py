@@ -115,7 +115,8 @@ def follow_object(
     A, b = _system(evidence, obj, T, config)
     H = c.point_information * A + prior
     way = twist_between(T, track.T_camera_object, centre)
-    T = moved(T, np.linalg.solve(H, c.point_information * b + prior @ way), centre)
+    step = np.asarray(np.linalg.solve(H, c.point_information * b + prior @ way), dtype=np.float64)
+    T = moved(T, step, centre)
     return FollowedObject(T, np.linalg.inv(H), innovation, float(score[best]))
 
 
