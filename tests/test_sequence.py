@@ -163,6 +163,14 @@ def test_a_benchmark_runs_on_a_sequence(dataset: Path, tmp_path: Path) -> None:
     assert main([*command, "--methods", "icp-from-truth+mask@0mm"]) == 0
 
 
+@pytest.mark.parametrize("bad", [("--rate", "0"), ("--rest", "1.2"), ("--rest", "nan")])
+def test_a_motion_that_makes_no_sense_is_refused(
+    bad: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert synth(tmp_path / "bad", tmp_path / "camera.json", *bad) == 2
+    assert "rest" in capsys.readouterr().err
+
+
 def test_a_broken_time_stamp_is_refused(dataset: Path) -> None:
     scene = sorted((dataset / bop.SPLIT).iterdir())[0]
     path = scene / bop.CAMERA

@@ -47,6 +47,9 @@ class Synth:
     """Make every scene one sequence of that many images: hand and object move, occluders pass."""
     rate: float = 30.0
     """Images a second of a sequence."""
+    rest: float = 0.35
+    """Share of the legs of a sequence's motion that are a rest; with 1 nothing moves but what
+    passes in front."""
     seed: int = 0
     """Seed of everything random."""
     camera: Path | None = None
@@ -132,7 +135,7 @@ def _plan(args: Synth) -> "Plan":
             clutter=args.clutter,
         ),
         visible=args.visible,
-        motion=MotionProtocol(rate=args.rate) if args.sequence else None,
+        motion=MotionProtocol(rate=args.rate, rest=args.rest) if args.sequence else None,
     )
 
 

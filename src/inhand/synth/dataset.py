@@ -92,6 +92,8 @@ class Plan:
         low, high = self.protocol.distance
         nearest, farthest = self.protocol.backdrop or (0.0, 0.0)
         wrist = (self.protocol.wrist_translation, self.protocol.wrist_rotation)
+        motion = self.motion or MotionProtocol()
+        rate, rest = motion.rate, motion.rest
         edges = np.array(self.visible)
         names = self.object_names
         checks = {
@@ -109,6 +111,8 @@ class Plan:
             <= nearest
             <= farthest
             < np.inf,
+            f"rate must be above 0 and rest a share from 0 to 1, got {rate} and {rest}": rate > 0
+            and 0 <= rest <= 1,
             f"the wrist's errors must not be negative, got {wrist}": all(
                 0 <= sd < np.inf for sd in wrist
             ),
