@@ -139,10 +139,10 @@ def jitters(updates: list[Update], centre: NDArray[np.float64]) -> list[tuple[fl
     number = np.cumsum(np.array(steps) > 1e-9)
     for k in np.unique(number):
         stretch = [u for u, n in zip(updates, number, strict=True) if n == k]
-        settled = [u.estimate for u in stretch[SETTLING:]]
-        if len(stretch) < STILL or not all(u.followed for u in stretch):
+        settled = stretch[SETTLING:]
+        if len(stretch) < STILL or not all(u.followed for u in settled):
             continue
-        T = np.stack([e.T_camera_object for e in settled])
+        T = np.stack([u.estimate.T_camera_object for u in settled])
         places = np.stack([transform(pose, centre[None])[0] for pose in T])
         turns = Rotation.from_matrix(T[:, :3, :3])
         turns = (turns * turns.mean().inv()).as_rotvec()

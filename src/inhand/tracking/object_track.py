@@ -89,19 +89,22 @@ def segment_near(
 
 
 def follow_object(
-    evidence: Evidence, obj: PackedObject, track: Track, starts: Array, config: TrackerConfig
+    evidence: Evidence, obj: PackedObject, track: Track, config: TrackerConfig
 ) -> FollowedObject:
-    """Refine and score starts; hold the best to the prediction as firmly as that is known.
+    """Refine and score two starts; hold the better to the prediction as firmly as that is known.
+
+    The object starts where it is expected, and where it would be if it went on as of late.
 
     Args:
         evidence: the image.
         obj: the object.
         track: the track as predicted.
-        starts: poses, shape (s, 4, 4), the prediction first.
         config: parameters.
     """
     c, centre = config.object, obj.model.centre
     widths = c.first_width, c.last_width
+    expected = track.T_camera_object
+    starts = np.stack([expected, moved(expected, track.motion, centre)])
     fitted = fit_to_field(
         evidence, obj, c.image_weight, starts.astype(np.float32), c.points, c.iterations, widths
     )
@@ -110,11 +113,11 @@ def follow_object(
     best = int(np.argmax(score))
     score[0] -= c.start_lead
     T = fitted[best].astype(np.float64)
-    innovation = twist_between(track.T_camera_object, T, centre)
+    innovation = twist_between(expected, T, centre)
     prior = np.linalg.inv(track.object_covariance)
     A, b = _system(evidence, obj, T, config)
     H = c.point_information * A + prior
-    way = twist_between(T, track.T_camera_object, centre)
+    way = twist_between(T, expected, centre)
     step = np.asarray(np.linalg.solve(H, c.point_information * b + prior @ way), dtype=np.float64)
     T = moved(T, step, centre)
     return FollowedObject(T, np.linalg.inv(H), innovation, float(score[best]))

@@ -58,10 +58,15 @@ def begun(estimate: PoseEstimate, given: Array, hand: Hand, config: TrackerConfi
         hand_covariance=np.diag(np.concatenate([wrist, c.joint * joint_scale(hand, config)]) ** 2),
         certain=np.zeros(len(hand.links), dtype=bool),
         T_camera_object=estimate.T_camera_object,
-        object_covariance=np.diag(np.array([c.object_turn] * 3 + [c.object_shift] * 3) ** 2),
+        object_covariance=start_covariance(config),
         motion=np.zeros(6),
         confidence=estimate.confidence,
     )
+
+
+def start_covariance(config: TrackerConfig) -> Array:
+    """Covariance of an object's pose that the estimator found, shape (6, 6)."""
+    return np.diag([config.start.object_turn**2] * 3 + [config.start.object_shift**2] * 3)
 
 
 def predicted(
@@ -96,11 +101,6 @@ def predicted(
         motion=np.concatenate([R @ track.motion[:3], R @ track.motion[3:]]),
         confidence=expected_confidence(track.confidence, config.loss),
     )
-
-
-def starts_of(track: Track) -> Array:
-    """Poses of the object to start from, shape (s, 4, 4), the prediction first."""
-    return track.T_camera_object[None]
 
 
 def joint_scale(hand: Hand, config: TrackerConfig) -> Array:

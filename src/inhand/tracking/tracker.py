@@ -23,7 +23,7 @@ from inhand.tracking.gaussian import Array, about_origin
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
-from inhand.tracking.track import Track, begun, predicted, starts_of
+from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
 
@@ -96,14 +96,14 @@ class PoseTracker:
         """Time since the last image [s]."""
         if time is None:
             return 1 / self.config.rate
-        last, self._time = self._time, finite_number(time, "time")
-        seconds = 1 / self.config.rate if last is None else self._time - last
-        if seconds <= 0:
+        time, last = finite_number(time, "time"), self._time
+        if last is not None and time <= last:
             raise InputError(
                 f"time must rise from image to image, got {time} after {last}; call reset() before "
                 "another sequence"
             )
-        return seconds
+        self._time = time
+        return 1 / self.config.rate if last is None else time - last
 
     def _follow(
         self, image: NDArray[np.float32], camera: Camera, track: Track, clock: Clock
@@ -143,7 +143,7 @@ class PoseTracker:
         c, hand, obj = self.config.estimator, self._hand, self._object
         segment = segment_near(observation, state, track, hand, obj, self.config)
         evidence = gather_evidence(observation, state, segment, hand, c.evidence)
-        return follow_object(evidence, obj, track, starts_of(track), self.config)
+        return follow_object(evidence, obj, track, self.config)
 
     def _search(
         self, image: NDArray[np.float32], camera: Camera, given: Array, clock: Clock
