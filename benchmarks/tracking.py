@@ -12,8 +12,8 @@ Prints a line a sequence, then a table of the targets:
   5 mm. A sequence's first image has no track; it is left out.
 - recovery: images until a right answer (ADI < 5 mm), once a quarter of the object's silhouette has
   readings again after less than a tenth had.
-- jitter: where the true pose stays for 8 images or more, the standard deviation of the object's
-  centre, along each axis, and of its rotation, about each axis, past the stretch's first two
+- jitter: where the true pose stays for 12 images or more, the standard deviation of the object's
+  centre, along each axis, and of its rotation, about each axis, past the stretch's first five
   images; root mean square over stretches and axes.
 """
 
@@ -42,7 +42,7 @@ SURE = 0.5
 """Confidence from which on a wrong answer is an undetected one."""
 SEEN, HIDDEN = 0.25, 0.1
 """Shares of the silhouette with readings from which on, and below which, the object is seen."""
-STILL, SETTLING = 8, 2
+STILL, SETTLING = 12, 5
 """Images of a stretch without motion, and those at its start that are left out."""
 
 

@@ -108,10 +108,10 @@ class ObjectTrackConfig(Section):
     """Sd of how an object moves that seems to be still in the hand [m/sqrt(s)]."""
     still_turn: float = 0.004
     """Sd of how it turns [rad/sqrt(s)]."""
-    agility: NonNegative = 1.0
+    agility: NonNegative = 0.7
     """The sd of its motion from image to image is this times the recent motion, and more if it is
     still."""
-    memory: Share = 0.6
+    memory: Share = 0.8
     """Weight of earlier images in the recent motion."""
     start_lead: NonNegative = 0.02
     """A start other than the prediction must score better by this."""

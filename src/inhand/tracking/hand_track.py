@@ -7,6 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.errors import NoAnswer
+from inhand.geometry import se3
 from inhand.kernels.hand_fit import Visibility
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, device_poses
@@ -32,10 +33,12 @@ class FollowedHand:
     """Of the wrist's twist and the joints, shape (6 + n, 6 + n)."""
 
     def kept_in(self, track: Track) -> Track:
-        """The track with this hand."""
+        """The track with this hand, and the object carried along with it."""
+        correction = self.state.T_camera_hand @ se3.inverse(track.T_camera_hand)
         return replace(
             track,
             T_camera_hand=self.state.T_camera_hand,
+            T_camera_object=correction @ track.T_camera_object,
             joint_vector=self.state.joint_vector,
             hand_covariance=self.covariance,
             certain=self.state.certain,
