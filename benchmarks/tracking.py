@@ -31,9 +31,10 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import inhand
-from inhand.datasets.bop import find_hand, find_scenes, read_image, read_scene
+from inhand.datasets.bop import BopImage, find_hand, find_scenes, read_image, read_scene
 from inhand.datasets.bop_models import load_model, model_name
 from inhand.evaluation.metrics import adi, sample_model
+from inhand.evaluation.results import JOINT_PIXELS
 from inhand.geometry.se3 import transform
 
 RIGHT = 0.005
@@ -60,6 +61,10 @@ class Update:
     estimate: inhand.PoseEstimate
     error: float
     """ADI [m]; inf without an answer."""
+    wrist: float
+    """Distance of the wrist's origin from where it is [m]; nan if unknown."""
+    joints: list[float]
+    """Errors [rad] of the joints whose links show over `JOINT_PIXELS` pixels."""
     cpu: float
     """CPU time [s]."""
     wall: float
@@ -105,9 +110,26 @@ def follow(scene: Path, config: inhand.TrackerConfig | None = None) -> Iterator[
             truth=instance.T_camera_object,
             estimate=e,
             error=adi(tree, e.T_camera_object, instance.T_camera_object) if e.found else np.inf,
+            wrist=wrist_distance(e, image.hand.T_camera_hand),
+            joints=joint_errors(e, image, hand) if e.joint_positions else [],
             cpu=cpu,
             wall=wall,
         )
+
+
+def wrist_distance(e: inhand.PoseEstimate, T_camera_hand: NDArray[np.float64]) -> float:
+    """Distance of the estimated wrist's origin from the true one [m]."""
+    if e.T_camera_hand is None:
+        return np.nan
+    return float(np.linalg.norm(e.T_camera_hand[:3, 3] - T_camera_hand[:3, 3]))
+
+
+def joint_errors(e: inhand.PoseEstimate, image: BopImage, hand: inhand.Hand) -> list[float]:
+    """Errors [rad] of the joints that carry a link which is well in view."""
+    pixels = np.bincount(image.segmentation.ravel(), minlength=256)[1 : 1 + len(hand.links)]
+    joints = hand.chain.link_joint[pixels > JOINT_PIXELS]
+    names = {hand.joint_names[hand.chain.source[j]] for j in joints if j >= 0}
+    return [abs(e.joint_positions[n] - image.hand.joint_positions[n]) for n in sorted(names)]
 
 
 def longest_fooled(updates: list[Update]) -> list[int]:
@@ -198,6 +220,8 @@ def table(
     search = [1000 * u.cpu for u in updates if not u.followed] or [np.nan]
     seen = [u for u in updates if u.seen >= SEEN]
     hidden = [u for u in updates if u.seen < 0.02]
+    found = [u for u in updates if u.estimate.found]
+    joints = [error for u in found for error in u.joints] or [np.nan]
     place, turn = np.sqrt(np.mean(still, axis=0)) if still else (np.nan, np.nan)
     rows = [
         ("sequences, images", f"{sum(u.image == 0 for u in updates)}, {len(updates)}", ""),
@@ -205,6 +229,9 @@ def table(
         ("update, CPU: median, 95 %", f"{_two(cpu)} ms", ""),
         ("search of a lost tracker, CPU: median", f"{np.median(search):.1f} ms", ""),
         ("images with the object seen: right", _share([u.right for u in seen]), ""),
+        ("object, ADI: median", f"{1000 * np.median([u.error for u in found]):.2f} mm", ""),
+        ("wrist: median", f"{1000 * np.nanmedian([u.wrist for u in found]):.2f} mm", ""),
+        ("joints in view: median", f"{np.degrees(np.median(joints)):.2f} degrees", ""),
         ("images with under 2 % seen: answered, wrongly", _hidden(hidden), ""),
         ("undetected losses: number, longest", f"{len(fooled)}, {max(fooled, default=0)}", "3"),
         ("recoveries within 2 images", _share([n <= 2 for n in recovered]), "all"),
