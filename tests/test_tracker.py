@@ -224,6 +224,30 @@ def test_a_hidden_finger_stays_where_it_was(moving: Film) -> None:
         assert abs(after.joint_positions[name] - before.joint_positions[name]) < np.radians(10)
 
 
+def test_senseless_images_are_no_errors(moving: Film) -> None:
+    tracker, rng = moving.tracker(), np.random.default_rng(0)
+    assert moving.show(tracker, 0).found
+    size = (CAMERA.height, CAMERA.width)
+    senseless = [
+        np.zeros(size, np.float32),
+        np.full(size, np.inf, np.float32),
+        np.full(size, 0.45, np.float32),
+        rng.uniform(0.3, 0.6, size).astype(np.float32),
+        np.where(rng.random(size) < 0.9, np.nan, 0.5).astype(np.float32),
+    ]
+    for i, depth in enumerate(senseless, start=1):
+        e = moving.show(tracker, i, depth)
+        assert not e.found
+        assert e.reason
+        assert e.confidence == 0
+    behind = np.diag([1.0, 1, 1, 1])
+    behind[2, 3] = -1.0
+    assert not tracker.update(moving.scenes[6].depth, CAMERA, behind).found
+    answers = [moving.show(tracker, i) for i in (7, 8, 9)]
+    assert answers[-1].found
+    assert moving.error(answers[-1], 9) < 0.005
+
+
 def test_time_must_rise(moving: Film) -> None:
     tracker = moving.tracker()
     moving.show(tracker, 3)
