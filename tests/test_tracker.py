@@ -14,7 +14,7 @@ from inhand.geometry.se3 import rotation_angle, transform
 from inhand.synth.demo import builtin_hand, builtin_object
 from inhand.synth.grasp import Grasp
 from inhand.synth.motion import MotionProtocol
-from inhand.synth.scene import NOISY, Scene, SceneMaker, with_errors
+from inhand.synth.scene import NOISY, OBJECT, Scene, SceneMaker, with_errors
 from inhand.synth.sequence import Sequence, SequenceMaker
 
 CAMERA = Camera(fx=400, fy=400, cx=207.5, cy=155.5, width=416, height=312)
@@ -169,6 +169,19 @@ def test_a_hidden_object_is_not_invented_and_found_at_once(moving: Film) -> None
     answers = [moving.show(tracker, i) for i in (10, 11)]
     assert answers[-1].found
     assert moving.error(answers[-1], 11) < 0.003
+
+
+def test_an_object_is_followed_while_the_hand_is_hidden(moving: Film) -> None:
+    tracker = moving.tracker()
+    for i in range(5):
+        assert moving.show(tracker, i).found
+    for i in range(5, 9):
+        scene = moving.scenes[i]
+        of_hand = (scene.images.segmentation > 0) & (scene.label != OBJECT) & (scene.depth > 0)
+        front = scene.images.depth[scene.images.depth > 0].min() - 0.05
+        e = moving.show(tracker, i, np.where(of_hand, front, scene.depth).astype(np.float32))
+        assert e.found, e.reason
+        assert moving.error(e, i) < 0.004
 
 
 def test_an_object_taken_away_is_missed_within_three_images(moving: Film) -> None:

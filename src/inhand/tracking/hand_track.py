@@ -6,7 +6,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from inhand.errors import NoAnswer
 from inhand.geometry import se3
 from inhand.kernels.hand_fit import Visibility
 from inhand.kernels.launch import launch
@@ -50,14 +49,13 @@ def follow_hand(
 ) -> FollowedHand:
     """Gauss-Newton over wrist and joints, held to the prediction as firmly as that is known.
 
+    A hand that the image does not show stays where it is expected.
+
     Args:
         observation: the image.
         hand: the hand.
         track: the track as predicted.
         config: parameters.
-
-    Raises:
-        NoAnswer: the image does not show the hand there.
     """
     c, wrist = config.hand, config.estimator.wrist
     fit = ArticulatedFit(
@@ -87,8 +85,17 @@ def follow_hand(
         fit.q.assign(q[None])
     T_camera_link = hand.link_poses(q[None], T[None])[0]
     certain = _certain_links(observation, hand, T_camera_link, config)
-    state = HandState(q, T, T_camera_link, certain)
-    return FollowedHand(state, np.linalg.inv(H))
+    if certain is None:
+        return _hidden(hand, track)
+    return FollowedHand(HandState(q, T, T_camera_link, certain), np.linalg.inv(H))
+
+
+def _hidden(hand: PackedHand, track: Track) -> FollowedHand:
+    """The hand where it was expected, no link of which is relied on."""
+    q, T = track.joint_vector, track.T_camera_hand
+    none = np.zeros(len(hand.hand.links), dtype=bool)
+    state = HandState(q, T, hand.link_poses(q[None], T[None])[0], none)
+    return FollowedHand(state, track.hand_covariance)
 
 
 def _way(T_from: Array, q_from: Array, T_to: Array, q_to: Array) -> Array:
@@ -98,11 +105,10 @@ def _way(T_from: Array, q_from: Array, T_to: Array, q_to: Array) -> Array:
 
 def _certain_links(
     observation: Observation, hand: PackedHand, T_camera_link: Array, config: TrackerConfig
-) -> NDArray[np.bool_]:
+) -> NDArray[np.bool_] | None:
     """Whether the image supports each link, (L,); the palm's always count.
 
-    Raises:
-        NoAnswer: it does not support the hand as a whole.
+    None if it does not support the hand as a whole.
     """
     c, device = config.estimator.hand_state, hand.device
     rule = Visibility()
@@ -120,6 +126,6 @@ def _certain_links(
     )
     score, seen, area = sums.numpy().T.astype(np.float64)
     if score.sum() < c.min_hand_support * max(seen.sum(), c.min_seen * area.sum()):
-        raise NoAnswer("the image does not show the hand where it is expected")
+        return None
     supported = score > c.certain_support * np.maximum(seen, c.min_seen * area)
     return np.asarray(supported | hand.is_palm)

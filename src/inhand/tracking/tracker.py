@@ -155,7 +155,9 @@ class PoseTracker:
         estimate = self.estimator.estimate(image, camera, given)
         clock.seconds.update(estimate.timings)
         if not estimate.found:
-            return replace(estimate, timings=clock.seconds)
+            # Of a hand that is hidden, the track knows more than the estimator.
+            unseen = replace(estimate, timings=clock.seconds)
+            return self._no_answer(estimate.reason, clock) if self._track else unseen
         if estimate.confidence < self._wanted(estimate):
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._no_answer(reason, clock)
