@@ -129,6 +129,8 @@ class PoseTracker:
             return self._no_answer(str(problem), clock)
         loss = config.loss
         expected = loss.again if self._lost else track.confidence
+        if not track.certain.any():  # what hides the hand may have moved the object as well
+            expected = min(expected, loss.again)
         confidence = seen_confidence(expected, found.score, loss)
         if confidence < (loss.accept if self._lost else loss.lost):
             self._lost = True
