@@ -10,7 +10,12 @@ from inhand.geometry import se3
 from inhand.kernels.hand_fit import Visibility
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, device_poses
-from inhand.stages.articulated_fit import ArticulatedFit, WristPrior, depth_view
+from inhand.stages.articulated_fit import (
+    ArticulatedFit,
+    FitInProgress,
+    WristPrior,
+    depth_view,
+)
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
@@ -58,15 +63,7 @@ def follow_hand(
         config: parameters.
     """
     c, wrist = config.hand, config.estimator.wrist
-    fit = ArticulatedFit(
-        observation,
-        hand,
-        used=np.ones(len(hand.hand.links), dtype=bool),
-        free=np.ones(len(hand.hand.joint_names), dtype=bool),
-        prior=WristPrior(track.given, wrist.prior_sd_rotation, wrist.prior_sd_translation),
-        point_information=c.point_information,
-        joint_damping=1.0,
-    ).begin(track.joint_vector[None], track.T_camera_hand[None], np.array([c.width]), c.stride)
+    fit = _fit_from(observation, hand, track, config)
     prior = np.linalg.inv(track.hand_covariance)
     anchor = np.zeros_like(prior)
     sd = np.array([wrist.prior_sd_rotation] * 3 + [wrist.prior_sd_translation] * 3)
@@ -88,6 +85,24 @@ def follow_hand(
     if certain is None:
         return _hidden(hand, track)
     return FollowedHand(HandState(q, T, T_camera_link, certain), np.linalg.inv(H))
+
+
+def _fit_from(
+    observation: Observation, hand: PackedHand, track: Track, config: TrackerConfig
+) -> FitInProgress:
+    """The estimator's refinement of wrist and joints, begun at the prediction."""
+    c, wrist = config.hand, config.estimator.wrist
+    fit = ArticulatedFit(
+        observation,
+        hand,
+        used=np.ones(len(hand.hand.links), dtype=bool),
+        free=np.ones(len(hand.hand.joint_names), dtype=bool),
+        prior=WristPrior(track.given, wrist.prior_sd_rotation, wrist.prior_sd_translation),
+        point_information=c.point_information,
+        joint_damping=1.0,
+    )
+    widths = np.array([c.width])
+    return fit.begin(track.joint_vector[None], track.T_camera_hand[None], widths, c.stride)
 
 
 def _hidden(hand: PackedHand, track: Track) -> FollowedHand:

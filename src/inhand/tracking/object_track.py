@@ -109,9 +109,7 @@ def follow_object(
         evidence, obj, c.image_weight, starts.astype(np.float32), c.points, c.iterations, widths
     )
     score = score_with_contact(evidence, obj, fitted, config.estimator.selection)
-    score[0] += c.start_lead
-    best = int(np.argmax(score))
-    score[0] -= c.start_lead
+    best = int(np.argmax(score + [c.start_lead, 0.0]))
     T = fitted[best].astype(np.float64)
     innovation = twist_between(expected, T, centre)
     prior = np.linalg.inv(track.object_covariance)
