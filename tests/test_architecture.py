@@ -28,7 +28,7 @@ LAYERS = [
     ["estimator"],
     ["io", "overlay", "picture", "builtin", "cluster"],
     ["synth", "datasets"],
-    ["evaluation", "baselines", "streams"],
+    ["evaluation", "baselines", "tracking", "streams"],
     ["cli", "viewer"],
 ]
 # In the order of the pipeline; other modules in stages/ are shared parts.
