@@ -91,7 +91,7 @@ def test_data_set() -> None:
 
 
 def test_stream() -> None:
-    run = run_example("07_stream")
+    run = run_example("08_stream")
     counts, scene = run.names["summary"].counts, run.names["scene"]
     assert (counts.processed, counts.found, counts.without_wrist) == (3, 2, 1)
     T = np.array(run.names["result"]["T_camera_object"])

@@ -64,6 +64,7 @@ def test_json_lines(tmp_path: Path) -> None:
         "confidence": 0.75,
         "T_camera_object": T_OBJECT.tolist(),
         "T_camera_hand": T_HAND.tolist(),
+        "covariance": None,
         "joint_positions": {"bend": 0.5, "twist": -0.1},
         "timings": {"wrist": 0.0123},
     }
@@ -173,6 +174,18 @@ def test_results_bag(tmp_path: Path, kind: BagKind) -> None:
     first, *others = by_topic["/inhand/detections"]
     assert [len(d.detections) for d in others] == [0, 0]
     check_detection(first.detections[0], T, kind)
+
+
+def test_covariance_in_the_order_of_ros(tmp_path: Path) -> None:
+    """Translation first; ours has rotation first."""
+    covariance = np.diag([1.0, 2, 3, 4, 5, 6])
+    covariance[0, 5] = covariance[5, 0] = 0.5  # rotation about x with translation along z
+    estimate = replace(found(), covariance=covariance)
+    run(FakeSource([0]), lambda frame: estimate, [ResultsBag(tmp_path / "bag", "mcap", OBJECT)])
+    (message,) = (m for topic, _, m in read_back(tmp_path / "bag", "mcap") if "detec" in topic)
+    written = message.detections[0].results[0].pose.covariance.reshape(6, 6)
+    np.testing.assert_array_equal(np.diag(written), [4, 5, 6, 1, 2, 3])
+    assert written[2, 3] == written[3, 2] == 0.5
 
 
 def check_pose(pose: Any, T: Any) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from inhand.geometry.mesh import TriangleMesh
 from inhand.streams.bag import BagKind
 from inhand.synth.scene import Scene
 from inhand.urdf import read_urdf
+from inhand.viewer.live import LiveView
 
 START = 1_700_000_000 * 1000 * MS
 FRAMES = 4
@@ -218,3 +220,50 @@ def test_options_reach_the_source(
     ((_, given, T_camera_hand),) = calls
     assert given.fx == 600
     np.testing.assert_array_equal(T_camera_hand, T)
+
+
+def test_followed_from_image_to_image(tmp_path: Path, models: list[str], source: Path) -> None:
+    out = tmp_path / "o.jsonl"
+    assert main(["run", str(source), *models, "--out", str(out), "--track"]) == 0
+    first, *others = lines_of(out)[0]
+    assert len(others) == FRAMES - 1
+    assert "hypotheses" in first["timings"]
+    for result in others:
+        assert result["found"]
+        assert "hypotheses" not in result["timings"]
+        covariance = np.array(result["covariance"])
+        assert covariance.shape == (6, 6)
+        assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+def test_a_page_shows_every_result(
+    tmp_path: Path,
+    models: list[str],
+    calls: list[Any],
+    source: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shown: list[str] = []
+    monkeypatch.setattr(LiveView, "show", lambda self, frame, estimate: shown.append(frame.name))
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    args = ["--out", str(tmp_path / "o.jsonl"), "--view", "--port", port]
+    assert main(["run", str(source), *models, *args]) == 0
+    assert shown == [r["frame"] for r in lines_of(tmp_path / "o.jsonl")[0]]
+    assert f"Page: http://localhost:{port}" in capsys.readouterr().err
+
+
+def test_a_taken_port_leaves_no_output(
+    tmp_path: Path,
+    models: list[str],
+    calls: list[Any],
+    source: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        args = ["--out", str(tmp_path / "o.jsonl"), "--view", "--port", port]
+        assert main(["run", str(source), *models, *args]) == 2
+    assert f"port {port} is taken" in capsys.readouterr().err
+    assert not (tmp_path / "o.jsonl").exists()

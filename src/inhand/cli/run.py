@@ -42,6 +42,13 @@ class Run:
     """Also write a ROS recording of the results: a folder for ROS 2, a .bag file for ROS 1."""
     bag_kind: Literal["ros1", "sqlite3", "mcap"] | None = None
     """Kind of that recording. Default: that of the source; mcap if it is none."""
+    track: bool = False
+    """Follow hand and object from image to image, which is faster and steadier; without it, every
+    image is answered anew."""
+    view: bool = False
+    """Also show the images and results on a web page, as they come."""
+    port: int = 8080
+    """Port of that page."""
     rate: float | None = None
     """Play a recording back in real time (1.0), or slower or faster, and drop what comes while an
     image is being processed. Default: every image, as fast as it goes."""
@@ -117,7 +124,8 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
     estimate = _make_estimate(args, hand, obj, device)
-    outputs = _open_outputs(args, source, paths, obj)
+    page = [_open_page(args, hand, obj, device, console)] if args.view else []
+    outputs = [*_open_outputs(args, source, paths, obj), *page]
     try:
         with _progress(source, console) as report:
             return runner.run(
@@ -135,8 +143,15 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
 def _make_estimate(args: Run, hand: "Hand", obj: "ObjectModel", device: str) -> "Estimate":
     from inhand.cli.common import make_config
     from inhand.estimator import PoseEstimator
+    from inhand.streams.pose_track import NS
+    from inhand.tracking.config import TrackerConfig
+    from inhand.tracking.tracker import PoseTracker
 
-    estimator = PoseEstimator(hand, obj, make_config(args.preset, args.seed), device)
+    config = make_config(args.preset, args.seed)
+    if args.track:
+        tracker = PoseTracker(hand, obj, TrackerConfig(estimator=config), device)
+        return lambda f: tracker.update(f.depth, f.camera, f.T_camera_hand, time=f.time_ns / NS)
+    estimator = PoseEstimator(hand, obj, config, device)
     return lambda f: estimator.estimate(f.depth, f.camera, f.T_camera_hand)
 
 
@@ -190,6 +205,16 @@ def _open_outputs(
     # The JSON lines come first: when the bag cannot be written any more, they have it all.
     results_bag = ResultsBag(bag[0], args.bag_kind or source.kind or "mcap", obj)
     return [JsonLines(lines), results_bag]
+
+
+def _open_page(
+    args: Run, hand: "Hand", obj: "ObjectModel", device: str, console: "Console"
+) -> "Output":
+    from inhand.viewer.stream_output import PageOutput
+
+    page = PageOutput(hand, obj, args.port, device)
+    console.print(f"Page: {page.address}", highlight=False, markup=False)
+    return page
 
 
 @contextmanager

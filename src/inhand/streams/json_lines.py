@@ -72,6 +72,7 @@ def as_dict(result: Result) -> dict[str, Any]:
         "confidence": float(estimate.confidence),
         "T_camera_object": _rows(estimate.T_camera_object),
         "T_camera_hand": _rows(estimate.T_camera_hand),
+        "covariance": _rows(estimate.covariance),
         "joint_positions": {name: float(q) for name, q in estimate.joint_positions.items()},
         "timings": {stage: round(float(t), 6) for stage, t in estimate.timings.items()},
     }

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.store import Typestore
 
+from inhand.estimate import PoseEstimate
 from inhand.object_model import ObjectModel
 from inhand.streams.bag import BagKind
 from inhand.streams.ros_types import POSE
@@ -85,14 +86,16 @@ class ResultMessages:
         )
         # In ROS 1 the object has a number instead of a name, and there is one object only.
         named = {"source_cloud": self._no_cloud(header)} if self._ros1 else {"id": self._name}
-        hypothesis = self._hypothesis(T, result.estimate.confidence)
+        hypothesis = self._hypothesis(T, result.estimate)
         detection = self._types["vision_msgs/msg/Detection3D"]
         return [detection(header=header, results=[hypothesis], bbox=box, **named)]
 
-    def _hypothesis(self, T: Array, confidence: float) -> Any:
+    def _hypothesis(self, T: Array, estimate: PoseEstimate) -> Any:
+        # ROS has the translation before the rotation, and zeros for unknown.
+        known, confidence = estimate.covariance, estimate.confidence
+        covariance = np.zeros((6, 6)) if known is None else np.roll(known, 3, axis=(0, 1))
         pose = self._types["geometry_msgs/msg/PoseWithCovariance"](
-            pose=self._pose(T),
-            covariance=np.zeros(36),  # unknown
+            pose=self._pose(T), covariance=covariance.reshape(36)
         )
         hypothesis = self._types["vision_msgs/msg/ObjectHypothesisWithPose"]
         if self._ros1:
