@@ -5,12 +5,14 @@ hand is not placed to a millimetre by eye, and a leash: what runs away from ther
 user meant.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from inhand.camera import Camera
+from inhand.annotation.images import RawImage
+from inhand.annotation.session import Label
 from inhand.config import EstimatorConfig, NonNegative, Section, Seed
 from inhand.errors import NoAnswer
 from inhand.evaluation.metrics import ObjectMetric
@@ -72,18 +74,6 @@ class SnapConfig(Section):
     """Standard deviation per axis of the given wrist pose [rad]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Placement:
-    """Where a hand and an object are."""
-
-    T_camera_object: Array
-    """Pose of the object, shape (4, 4)."""
-    T_camera_hand: Array
-    """Pose of the hand's root link, shape (4, 4)."""
-    q: Array
-    """Independent joints [rad, m] in the order of `hand.joint_names`, shape (n,)."""
-
-
 class Snapper:
     """Refines placements of one hand and object.
 
@@ -105,70 +95,65 @@ class Snapper:
         self.config = EstimatorConfig() if config is None else config
         self.snap = SnapConfig() if snap is None else snap
 
-    def snap_object(
-        self, depth: NDArray[np.float32], camera: Camera, placement: Placement
-    ) -> Array:
-        """The object's pose, shape (4, 4), that the image shows near the given one.
+    def snap_object(self, raw: RawImage, label: Label) -> Label:
+        """The label with the object where the image shows it near its place in the label.
 
-        Of poses that the object's symmetry makes alike, the one nearest to the given one.
+        Of poses that the object's symmetry makes alike, the one nearest to the label's.
 
         Args:
-            depth: depth image [m], shape (H, W), 0 where there is no reading.
-            camera: its camera.
-            placement: where hand and object are about; the hand is taken as it is.
+            raw: the image.
+            label: where hand and object are about; the hand is taken as it is.
 
         Raises:
             NoAnswer: the image shows no object there.
         """
-        c, s = self.config, self.snap
-        evidence = self._evidence(depth, camera, placement)
-        tried = self._around(placement.T_camera_object)
-        weight, widths = c.refinement.image_weight, (s.first_width, s.middle_width, s.last_width)
-        rough = fit_to_field(
-            evidence, self.obj, weight, tried, s.rough_points, s.rough_iterations, widths[:2]
-        )
-        rough = self._on_the_leash(rough, placement.T_camera_object)
+        c, s, given = self.config, self.snap, label.T_camera_object
+        evidence = self._evidence(raw, label)
+        fit = partial(fit_to_field, evidence, self.obj, c.refinement.image_weight)
+        widths = s.first_width, s.middle_width, s.last_width
+        rough = fit(self._around(given), s.rough_points, s.rough_iterations, widths[:2])
+        rough = self._on_the_leash(rough, given)
         scores = score_with_contact(evidence, self.obj, rough, c.refinement)
         best = rough[np.argsort(-scores, kind="stable")[: s.keep]]
-        fine = fit_to_field(
-            evidence, self.obj, weight, best, s.fine_points, s.fine_iterations, widths[1:]
-        )
+        fine = fit(best, s.fine_points, s.fine_iterations, widths[1:])
         scores = score_with_contact(evidence, self.obj, fine, c.selection)
-        answer = np.asarray(fine[scores.argmax()], dtype=np.float64)
-        return self.metric.nearest_symmetric(placement.T_camera_object, orthonormal(answer))
+        found = orthonormal(np.asarray(fine[scores.argmax()], dtype=np.float64))
+        return replace(label, T_camera_object=self.metric.nearest_symmetric(given, found))
 
-    def snap_hand(
-        self, depth: NDArray[np.float32], camera: Camera, placement: Placement
-    ) -> tuple[Array, Array]:
-        """Wrist pose (4, 4) and joint vector (n,) that the image shows near the given ones.
-
-        Arguments as `snap_object`.
+    def snap_hand(self, raw: RawImage, label: Label) -> Label:
+        """The label with wrist and fingers where the image shows them near their place in it.
 
         Raises:
-            NoAnswer: the image shows no hand there.
+            NoAnswer: the image shows nothing there.
         """
         c, s, hand = self.config.hand_state, self.snap, self.hand
-        observation = self._observe(depth, camera, placement)
+        given = hand.hand.joint_vector(label.joint_positions)
+        observation = self._observe(raw, label)
         search = FingerSearch(observation, hand, c)
         fit = ArticulatedFit(
             observation,
             hand,
             used=np.ones(len(hand.hand.links), dtype=bool),
-            free=np.ones(len(hand.hand.joint_names), dtype=bool),
-            prior=WristPrior(placement.T_camera_hand, s.wrist_rotation, s.wrist_translation),
+            free=np.ones(len(given), dtype=bool),
+            prior=WristPrior(label.T_camera_hand, s.wrist_rotation, s.wrist_translation),
             point_information=c.point_information,
             joint_damping=c.joint_damping,
         )
         rng = np.random.default_rng(s.seed)
-        offset = rng.normal(0, s.spread_joint, (s.hand_starts, len(placement.q))) * search.scale
+        offset = rng.normal(0, s.spread_joint, (s.hand_starts, len(given))) * search.scale
         offset[0] = 0.0
-        starts = np.clip(placement.q + offset, hand.hand.lower, hand.hand.upper)
-        wrists = np.repeat(placement.T_camera_hand[None], len(starts), 0)
+        starts = np.clip(given + offset, hand.hand.lower, hand.hand.upper)
+        wrists = np.repeat(label.T_camera_hand[None], len(starts), 0)
         widths = np.geomspace(c.first_width, c.middle_width, c.iterations)
         q, T = search.best_combination(*fit.refine(starts, wrists, widths, c.start_stride))
         widths = np.geomspace(c.middle_width, c.last_width, c.last_iterations)
         q, T = fit.refine(q[None], T[None], widths)
-        return orthonormal(T[0]), self._unless_idle(search, placement.q, q[0], T)
+        joints = self._unless_idle(search, given, q[0], T)
+        return replace(
+            label,
+            T_camera_hand=orthonormal(T[0]),
+            joint_positions=dict(zip(hand.hand.joint_names, joints.tolist(), strict=True)),
+        )
 
     def _unless_idle(self, search: FingerSearch, given: Array, fitted: Array, T: Array) -> Array:
         """The fitted joints, (n,), but the given ones of fingers that moved for nothing.
@@ -184,29 +169,20 @@ class Snapper:
                 joints[finger.joints] = both[0]
         return joints
 
-    def _observe(
-        self, depth: NDArray[np.float32], camera: Camera, placement: Placement
-    ) -> Observation:
-        hand, obj = self.hand, self.obj
-        return observe(
-            depth,
-            camera,
-            placement.T_camera_hand,
-            hand.hand.reach,
-            obj.model.diameter,
-            self.config.observation,
-            hand.device,
-        )
+    def _observe(self, raw: RawImage, label: Label) -> Observation:
+        reach, diameter = self.hand.hand.reach, self.obj.model.diameter
+        config, device = self.config.observation, self.hand.device
+        return observe(raw.depth, raw.camera, label.T_camera_hand, reach, diameter, config, device)
 
-    def _evidence(
-        self, depth: NDArray[np.float32], camera: Camera, placement: Placement
-    ) -> Evidence:
+    def _evidence(self, raw: RawImage, label: Label) -> Evidence:
         c, hand = self.config, self.hand
-        observation = self._observe(depth, camera, placement)
-        poses = hand.link_poses(placement.q[None], placement.T_camera_hand[None])[0]
-        everywhere = np.ones(len(poses), dtype=bool)  # the user says where every link is
-        state = HandState(placement.q, placement.T_camera_hand, poses, everywhere)
-        segment = segment_object(observation, state, hand, self.obj.model.diameter, c.segmentation)
+        observation = self._observe(raw, label)
+        q = hand.hand.joint_vector(label.joint_positions)
+        links = hand.link_poses(q[None], label.T_camera_hand[None])[0]
+        everywhere = np.ones(len(links), dtype=bool)  # the user says where every link is
+        state = HandState(q, label.T_camera_hand, links, everywhere)
+        diameter = self.obj.model.diameter
+        segment = segment_object(observation, state, hand, diameter, c.segmentation)
         return gather_evidence(observation, state, segment, hand, c.evidence)
 
     def _around(self, T_camera_object: Array) -> NDArray[np.float32]:
