@@ -32,5 +32,5 @@ clean:
 	@touch $@
 
 .venv/.dev: .venv/.created pyproject.toml constraints.txt
-	$(PIP_INSTALL) -e '.[bench,ray,dev]'
+	$(PIP_INSTALL) -e '.[bench,ray,viewer,dev]'
 	@touch $@ .venv/.core

@@ -26,7 +26,7 @@ LAYERS = [
     + ["object_symmetry", "pair_table", "object_model"],
     ["stages", "estimate"],
     ["estimator"],
-    ["io", "picture", "builtin", "cluster"],
+    ["io", "overlay", "picture", "builtin", "cluster"],
     ["synth", "datasets"],
     ["evaluation", "baselines"],
     ["cli", "viewer", "annotation"],

@@ -1,0 +1,172 @@
+"""A headless Chromium for tests of web pages made with viser; tests skip where there is none."""
+
+import io
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+ARGUMENTS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    # WebGL on the CPU
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+SIZE = {"width": 1500, "height": 900}
+"""Of the page [pixel]."""
+PATIENCE = 60.0
+"""How long anything may take [s]: with others on two cores, WebGL on the CPU is slow."""
+
+Pixels = NDArray[np.uint8]
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A headless Chromium, as a Playwright browser."""
+    program = next((path for name in PROGRAMS if (path := shutil.which(name))), None)
+    if program is None:
+        pytest.skip("there is no Chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=program, args=list(ARGUMENTS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class ViserPage:
+    """A page of a viser server in a browser tab of its own.
+
+    Args:
+        browser: as from `chromium`.
+        address: of the page.
+    """
+
+    def __init__(self, browser: Any, address: str) -> None:
+        self.tab = browser.new_page(viewport=SIZE)
+        self.tab.set_default_timeout(1000 * PATIENCE)
+        self.errors: list[str] = []
+        """What went wrong in the page's scripts."""
+        self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.tab.goto(address)
+        self.tab.locator("canvas").first.wait_for()
+        self._close_notes()
+
+    def close(self) -> None:
+        """Close the tab."""
+        self.tab.close()
+
+    def screenshot(self, path: str | None = None) -> Pixels:
+        """The page as it is now, shape (H, W, 3)."""
+        return _decoded(self.tab.screenshot(path=path))
+
+    def scene(self) -> Pixels:
+        """The 3D view as it is now, without what lies beside it, shape (h, w, 3)."""
+        box = self.tab.locator("canvas").first.bounding_box()
+        return _decoded(self.tab.screenshot(clip=box))
+
+    def pictures(self) -> list[str]:
+        """Sources of the images in the panels, from top to bottom: they change with the images."""
+        shown = self.tab.locator("img[src^='blob:'], img[src^='data:']").all()
+        return [image.get_attribute("src") or "" for image in shown]
+
+    def text(self) -> str:
+        """All text in the panels."""
+        return str(self.tab.locator("body").inner_text())
+
+    def wait_for_text(self, text: str) -> None:
+        """Wait until the page shows a text.
+
+        Raises:
+            AssertionError: it does not come.
+        """
+        self.wait_until(lambda: text in self.text(), f'"{text}" in the page')
+
+    def wait_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait for a condition.
+
+        Raises:
+            AssertionError: it does not come true in time.
+        """
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end, f"waited in vain for {what}; the page:\n{self.text()}"
+            self.tab.wait_for_timeout(100)
+
+    def wait_until_still(self) -> Pixels:
+        """Wait until the page changes no more, and return its 3D view, shape (h, w, 3)."""
+        last = self.scene()
+        end = time.monotonic() + PATIENCE
+        while True:
+            self.tab.wait_for_timeout(700)
+            now = self.scene()
+            if np.array_equal(last, now):
+                return now
+            assert time.monotonic() < end, "the page does not come to rest"
+            last = now
+
+    def press(self, slider: str, key: str, times: int = 1) -> None:
+        """Move a slider by keys such as ArrowRight, by its label."""
+        thumb = self._row(slider).get_by_role("slider")
+        for _ in range(times):
+            thumb.press(key)
+
+    def enter(self, label: str, value: float | str) -> None:
+        """Type a value into the field with a label; sliders have one too."""
+        field = self._row(label).locator("input:visible").last
+        field.fill(str(value))
+        field.press("Enter")
+
+    def value(self, label: str) -> str:
+        """What the field with a label shows."""
+        return str(self._row(label).locator("input:visible").last.input_value())
+
+    def choose(self, dropdown: str, option: str) -> None:
+        """Choose an option of a dropdown by its label."""
+        self._row(dropdown).locator("input:visible").first.click()
+        self.tab.get_by_role("option", name=option, exact=True).click()
+
+    def tick(self, checkbox: str) -> None:
+        """Tick a checkbox, or take the tick away, by its label."""
+        self._row(checkbox).get_by_role("checkbox").click()
+
+    def click(self, button: str) -> None:
+        """Click a button by its text."""
+        self.tab.get_by_role("button", name=button, exact=True).click()
+
+    def _row(self, label: str) -> Any:
+        """The label's row in a panel: the label and what it belongs to."""
+        exact = self.tab.get_by_text(label, exact=True).and_(self.tab.locator("label"))
+        return exact.locator("xpath=ancestor::div[contains(@class,'mantine-Flex-root')][1]")
+
+    def _close_notes(self) -> None:
+        """Close the note that WebGL runs on the CPU, if there is one."""
+        note = self.tab.locator(".mantine-Notification-closeButton")
+        try:
+            note.first.click(timeout=10_000)
+        except Exception:  # Playwright's TimeoutError: WebGL runs elsewhere
+            return
+
+
+def _decoded(png: bytes) -> Pixels:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+
+
+def changed(before: Pixels, after: Pixels) -> int:
+    """Number of pixels that differ visibly between two pictures of one size."""
+    difference = np.abs(before.astype(int) - after.astype(int)).max(axis=-1)
+    return int(np.count_nonzero(difference > 20))
