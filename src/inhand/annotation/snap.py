@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from inhand.annotation.images import RawImage
 from inhand.annotation.session import Label
-from inhand.config import EstimatorConfig, NonNegative, Section, Seed
+from inhand.config import EstimatorConfig, NonNegative, Real, Section, Seed
 from inhand.errors import NoAnswer
 from inhand.evaluation.metrics import ObjectMetric
 from inhand.geometry.se3 import exp, transform
@@ -60,6 +60,8 @@ class SnapConfig(Section):
     """Segment points, and model points, in the fine iterations."""
     fine_iterations: int = 15
     """Fine iterations."""
+    least_score: Real = 0.5
+    """A pose that scores less at the end is none: the object is not there."""
     hand_starts: int = 24
     """Hand states that are refined: the given one and others around it."""
     spread_joint: float = 0.15
@@ -117,6 +119,8 @@ class Snapper:
         best = rough[np.argsort(-scores, kind="stable")[: s.keep]]
         fine = fit(best, s.fine_points, s.fine_iterations, widths[1:])
         scores = score_with_contact(evidence, self.obj, fine, c.selection)
+        if scores.max() < s.least_score:
+            raise NoAnswer("the image does not show the object where it is; move it closer")
         found = orthonormal(np.asarray(fine[scores.argmax()], dtype=np.float64))
         return replace(label, T_camera_object=self.metric.nearest_symmetric(given, found))
 
@@ -148,6 +152,8 @@ class Snapper:
         q, T = search.best_combination(*fit.refine(starts, wrists, widths, c.start_stride))
         widths = np.geomspace(c.middle_width, c.last_width, c.last_iterations)
         q, T = fit.refine(q[None], T[None], widths)
+        if search.hand_support(q[0], T[0]) < c.min_hand_support:
+            raise NoAnswer("the image does not show the hand where it is; move it closer")
         joints = self._unless_idle(search, given, q[0], T)
         return replace(
             label,
@@ -204,7 +210,7 @@ class Snapper:
         moved = surface_distances_to(T_camera_object, given.astype(np.float32), self.obj, 2 * limit)
         near = T_camera_object[moved <= limit]
         if not len(near):
-            raise NoAnswer("the image shows no object near where you put it; move it closer")
+            raise NoAnswer("the image shows the object too far from where it is; move it closer")
         return near
 
 

@@ -25,6 +25,20 @@ SESSION_FILE = "annotation.json"
 """Name of the file in the output folder."""
 
 
+def check_folder(folder: Path) -> None:
+    """Raise InputError when a folder cannot hold labels, or holds something else."""
+    try:
+        names = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise InputError(f"cannot use the folder {folder}: {error.strerror or error}") from error
+    if names and not any(name.startswith("annotation.") for name in names):
+        raise InputError(
+            f"{folder} is not empty and holds no {SESSION_FILE}: choose another folder"
+        )
+
+
 def save_session(path: Path, session: Session) -> None:
     """Save a session; the file is there completely or as it was.
 
