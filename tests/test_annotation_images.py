@@ -57,7 +57,8 @@ def test_one_wrist_pose_may_hold_for_all_images(folder: Path) -> None:
     (folder / "hand_pose" / "c.json").rename(folder / "hand_pose.json")
     shutil.rmtree(folder / "hand_pose")
     poses = [file.read().T_camera_hand for file in find_images(folder)]
-    assert all(T is not None and (poses[2] == T).all() for T in poses)
+    for T in poses:
+        np.testing.assert_array_equal(T, poses[2])
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".tif", ".png"])
