@@ -1,7 +1,8 @@
 """Images to be labelled, as files: scenes of the built-in hand in the layouts that are read."""
 
 import json
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -70,10 +71,13 @@ def objects_of(scenes: Sequence[Scene]) -> dict[str, ObjectSource]:
     return {name: source(1 + i, name) for i, name in enumerate(names)}
 
 
-def workbench(folder: Path, scenes: Sequence[Scene]) -> Workbench:
+def workbench(
+    folder: Path, scenes: Sequence[Scene], clock: Callable[[], float] = time.monotonic
+) -> Workbench:
     """A workbench with a folder of scenes; labels go to the folder `out`."""
     images = folder / "images"
     if not images.is_dir():
         write_folder(images, scenes)
     hand = hand_files(folder / "hand")
-    return Workbench(find_images(images), hand, objects_of(scenes), folder / "out")
+    files, objects = find_images(images), objects_of(scenes)
+    return Workbench(files, hand, objects, folder / "out", clock=clock)

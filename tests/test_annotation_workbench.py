@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from labelling_data import hand_files, objects_of, true_label, workbench
 
+from inhand.annotation.commands import NUDGES, Nudge
 from inhand.annotation.images import find_images
 from inhand.annotation.session import Session
 from inhand.annotation.storage import SESSION_FILE, load_session
@@ -19,6 +20,7 @@ from inhand.errors import InputError, NoAnswer
 from inhand.geometry.se3 import inverse, transform
 from inhand.synth.scene import Scene
 
+X, Y, Z = np.eye(3)
 PART, CAN = 3, 5
 SCENES = (PART, CAN, CAN)
 
@@ -53,7 +55,7 @@ def test_the_first_image_starts_between_the_fingers(bench: Workbench, scenes: li
 
 def test_the_next_image_starts_from_the_last_label(bench: Workbench, scenes: list[Scene]) -> None:
     truth = true_label(scenes[PART])
-    bench.place_object(truth.T_camera_object, "object moved")
+    bench.place_object(bench.tools.centred(truth.T_camera_object))
     bench.mark("labelled")
     assert bench.file.name == "b"
     first, second = bench.session.labels["a"], bench.label
@@ -96,15 +98,18 @@ def test_from_proposal_to_data_set(bench: Workbench, scenes: list[Scene]) -> Non
 def test_another_proposal_can_be_taken_and_taken_back(bench: Workbench) -> None:
     bench.propose()
     assert bench.proposals is not None
-    first = bench.label
-    bench.take_proposal(1)
-    assert bench.label == bench.proposals.labels[1] != first
+    first, labels = bench.label, bench.proposals.labels
+    bench.take_next_proposal()
+    assert bench.label == labels[1] != first
     bench.undo()
     assert bench.label == first
+    for _ in labels[1:]:
+        bench.take_next_proposal()
+    assert bench.label == first
     bench.go(1)
-    label = bench.label
-    bench.take_proposal(1)  # it is of another image
-    assert bench.label == label
+    other = bench.label
+    bench.take_next_proposal()  # there is none yet: the estimator is asked
+    assert bench.label != other
 
 
 def test_proposals_differ_by_more_than_a_symmetry(bench: Workbench, scenes: list[Scene]) -> None:
@@ -133,6 +138,36 @@ def test_nudging_turns_about_the_object(bench: Workbench) -> None:
     np.testing.assert_allclose(moved, [[0.001, 0, 0]], atol=1e-12)
 
 
+@pytest.mark.parametrize("nudge", NUDGES, ids=lambda nudge: nudge.meaning)
+def test_nudges_do_what_they_say(bench: Workbench, nudge: Nudge) -> None:
+    """Followed on the point of the object's surface that faces the camera."""
+    before, centre = bench.label.T_camera_object, bench.tools.obj.centre[None]
+    front = transform(before, centre) - [[0, 0, 0.01]]
+    if "clock" in nudge.meaning:
+        front = transform(before, centre) - [[0, 0.01, 0]]  # twelve o'clock
+    in_object = transform(inverse(before), front)
+    nudge.act(bench, 1.0, 1.0)
+    moved = (transform(bench.label.T_camera_object, in_object) - front)[0]
+    ways = {"left": -X, "right": X, "up": -Y, "down": Y, "nearer": -Z, "farther": Z}
+    ways |= {"turn it with the clock": X, "turn it against the clock": -X}
+    way = next(way for word, way in ways.items() if nudge.meaning.endswith(word))
+    length = 0.01 * np.radians(1) if nudge.turns else 0.001
+    assert moved @ way == pytest.approx(length, rel=1e-3)
+    assert np.linalg.norm(moved) == pytest.approx(length, rel=1e-3)
+
+
+def test_a_control_at_rest_begins_another_step(tmp_path: Path, scenes: list[Scene]) -> None:
+    now = [0.0]
+    bench = workbench(tmp_path, scenes[:1], clock=lambda: now[0])
+    joint = bench.hand.model.joint_names[0]
+    for i in range(10):
+        now[0] += 2.0 if i == 5 else 0.1
+        bench.bend(joint, 0.1 + 0.01 * i)
+    assert len(bench.session.past) == 2
+    bench.undo()
+    assert bench.label.joint_positions[joint] == pytest.approx(0.14)
+
+
 def test_another_object_takes_the_place_of_the_one_before(bench: Workbench) -> None:
     before = transform(bench.label.T_camera_object, bench.tools.obj.centre[None])
     bench.take_object("can")
@@ -155,7 +190,7 @@ def test_every_change_is_saved_at_once(
         lambda: bench.go(1),
         bench.undo,
         bench.go_to_next_open,
-        lambda: bench.place_hand(np.eye(4), "hand moved"),
+        lambda: bench.place_hand(np.eye(4)),
     ]
     for step in steps:
         step()
@@ -190,7 +225,7 @@ def test_a_full_disk_keeps_the_label_until_it_can_be_saved(
 def test_no_answer_changes_nothing(bench: Workbench) -> None:
     away = bench.label.T_camera_hand.copy()
     away[0, 3] += 2.0
-    bench.place_hand(away, "hand moved")
+    bench.place_hand(away)
     session = bench.session
     for action in (bench.propose, bench.snap, bench.snap_hand, bench.snap_object):
         with pytest.raises(NoAnswer):

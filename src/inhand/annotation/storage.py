@@ -6,7 +6,7 @@ a process or machine that stops at any moment leaves a whole file: the old one o
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
@@ -18,6 +18,7 @@ from inhand.annotation.session import STATUSES, Change, Label, Session
 from inhand.checks import finite_number
 from inhand.errors import InputError
 from inhand.geometry.se3 import check_rigid
+from inhand.hand import Hand
 
 FORMAT = "inhand annotation 1"
 """What the file says it is."""
@@ -105,6 +106,27 @@ def load_session(path: Path, images: Sequence[str]) -> tuple[Session, str]:
         return saved, ""
     position = names.index(saved.image) if saved.image in names else 0
     return Session(names, saved.labels, position), _difference(saved, names)
+
+
+def check_fits(session: Session, hand: Hand, objects: Collection[str], path: Path) -> None:
+    """Raise InputError when labels are of another hand, or of objects that are not among these.
+
+    Args:
+        session: the labels.
+        hand: the hand.
+        objects: names of the objects.
+        path: where the labels were saved.
+    """
+    for image, label in session.labels.items():
+        if label.object_name not in objects:
+            raise InputError(
+                f'the label of {image} in {path} is of the object "{label.object_name}", which is '
+                f"not among {', '.join(objects)}: name its mesh too"
+            )
+        try:
+            hand.joint_vector(label.joint_positions)
+        except InputError as error:
+            raise InputError(f"the labels in {path} are of another hand: {error}") from error
 
 
 def parse_session(text: bytes) -> Session:

@@ -4,11 +4,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from inhand.annotation.images import RawImage
-from inhand.annotation.session import Label
+from inhand.annotation.session import Array, Label
 from inhand.annotation.snap import Snapper
 from inhand.config import EstimatorConfig
 from inhand.errors import NoAnswer
 from inhand.estimator import PoseEstimator
+from inhand.geometry.se3 import transform
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.overlay import ModelRenderer
@@ -49,6 +50,21 @@ class Tools:
     def renderer(self) -> ModelRenderer:
         """Draws hand and object."""
         return ModelRenderer(self.hand, self.obj, self.device)
+
+    def centred(self, T_camera_object: Array) -> Array:
+        """An object pose, (4, 4), with its origin at the object's centre: what it is turned about.
+
+        A mesh may lie far from its origin.
+        """
+        T = T_camera_object.copy()
+        T[:3, 3] = transform(T_camera_object, self.obj.centre[None])[0]
+        return T
+
+    def from_centred(self, T: Array) -> Array:
+        """The object's pose, (4, 4), whose `centred` is this."""
+        T_camera_object = T.copy()
+        T_camera_object[:3, 3] -= T[:3, :3] @ self.obj.centre
+        return T_camera_object
 
     def propose(self, image: str, raw: RawImage, label: Label) -> Proposals:
         """The estimator's answer to an image.

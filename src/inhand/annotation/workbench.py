@@ -4,6 +4,7 @@ Every change of a label is saved at once. When that fails, the label stays in me
 says why, and saves again with the next change or when it is told to.
 """
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,15 +17,25 @@ from inhand.annotation.images import ImageFile, RawImage
 from inhand.annotation.objects import ObjectSource
 from inhand.annotation.session import Label, Session, Status
 from inhand.annotation.start import start_label
-from inhand.annotation.storage import SESSION_FILE, check_folder, load_session, save_session
+from inhand.annotation.storage import (
+    SESSION_FILE,
+    check_fits,
+    check_folder,
+    load_session,
+    save_session,
+)
 from inhand.annotation.tools import Proposals, Tools
 from inhand.config import EstimatorConfig
 from inhand.errors import InputError
 from inhand.evaluation.metrics import PoseError
-from inhand.geometry.se3 import exp, transform
+from inhand.geometry.se3 import exp_so3
 from inhand.object_model import ObjectModel
 
 Array = NDArray[np.float64]
+
+
+PAUSE = 1.0
+"""A control that rests for longer [s] begins another step of the history."""
 
 
 class Workbench:
@@ -37,6 +48,7 @@ class Workbench:
         folder: folder of the labels and of the data set that is made of them.
         config: the estimator's parameters.
         device: Warp device name.
+        clock: tells the time [s].
 
     Raises:
         InputError: the folder holds something else, or cannot be written, or its labels are of
@@ -51,6 +63,7 @@ class Workbench:
         folder: Path,
         config: EstimatorConfig | None = None,
         device: str = "cpu",
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.files, self.hand, self.objects, self.folder = tuple(files), hand, objects, folder
         self._config = EstimatorConfig() if config is None else config
@@ -58,13 +71,14 @@ class Workbench:
         self._path = folder / SESSION_FILE
         self._tools: dict[str, Tools] = {}
         self._image: tuple[str, RawImage] | None = None
-        self.proposals: Proposals | None = None
-        """The estimator's last answer."""
+        self._proposals: Proposals | None = None
+        self._taken = 0
+        self._clock, self._last_change = clock, -np.inf
         self.save_problem = ""
         """Why the labels are not saved; empty when they are."""
         check_folder(folder)
         self.session, self.remark = load_session(self._path, [file.name for file in files])
-        self._check_labels()
+        check_fits(self.session, hand.model, objects, self._path)
         save_session(self._path, self.session)
 
     # What is there
@@ -106,6 +120,12 @@ class Workbench:
         """The tools for the label's object."""
         return self._tools_for(self.label.object_name)
 
+    @property
+    def proposals(self) -> Proposals | None:
+        """The estimator's answer to the image that is looked at, if it was asked."""
+        found = self._proposals
+        return found if found is not None and found.image == self.file.name else None
+
     def difference_from(self, other: Label) -> PoseError:
         """How far the label's object is from another label's, up to its symmetries."""
         metric = self.tools.snapper.metric
@@ -129,13 +149,24 @@ class Workbench:
         """Make it again."""
         self._commit(self.session.redo())
 
-    def place_object(self, T_camera_object: Array, what: str, *, join: bool = False) -> None:
-        """Put the object at a pose, shape (4, 4); `what` and `join` as in `Session.change`."""
-        self._change(replace(self.label, T_camera_object=T_camera_object), what, join=join)
+    def begin_step(self) -> None:
+        """Make the next change a step of its own, although the one before is the same."""
+        self._last_change = -np.inf
 
-    def place_hand(self, T_camera_hand: Array, what: str) -> None:
+    def place_object(self, T_camera_centre: Array) -> None:
+        """Put the object at a pose, (4, 4), with its origin at the object's centre."""
+        T = self.tools.from_centred(T_camera_centre)
+        self._change(replace(self.label, T_camera_object=T), "object placed", join=True)
+
+    def place_centre(self, centre: Array) -> None:
+        """Put the object's centre to a point [m], camera frame, shape (3,), and turn nothing."""
+        T = self.tools.centred(self.label.T_camera_object)
+        T[:3, 3] = centre
+        self.place_object(T)
+
+    def place_hand(self, T_camera_hand: Array) -> None:
         """Put the hand at a wrist pose, shape (4, 4)."""
-        self._change(replace(self.label, T_camera_hand=T_camera_hand), what)
+        self._change(replace(self.label, T_camera_hand=T_camera_hand), "hand placed", join=True)
 
     def nudge_object(self, turn: Array, shift: Array, what: str) -> None:
         """Move the object a little.
@@ -144,13 +175,13 @@ class Workbench:
             turn: rotation vector about axes parallel to the camera's through the object's centre
                 [rad], shape (3,).
             shift: translation along the camera's axes [m], shape (3,).
-            what: as in `Session.change`.
+            what: what the user did.
         """
-        label, obj = self.label, self.tools.obj
-        centre = transform(label.T_camera_object, obj.centre[None])[0]
-        move = exp(np.concatenate([turn, shift]))
-        move[:3, 3] += centre - move[:3, :3] @ centre
-        self.place_object(move @ label.T_camera_object, what, join=True)
+        T = self.tools.centred(self.label.T_camera_object)
+        T[:3, :3] = exp_so3(turn) @ T[:3, :3]
+        T[:3, 3] += shift
+        label = replace(self.label, T_camera_object=self.tools.from_centred(T))
+        self._change(label, what, join=True)
 
     def bend(self, joint: str, position: float) -> None:
         """Put a joint, by its name, to a position [rad, m]."""
@@ -159,10 +190,9 @@ class Workbench:
 
     def take_object(self, name: str) -> None:
         """Say that another object is in the hand; it takes the place of the one before."""
-        centre = transform(self.label.T_camera_object, self.tools.obj.centre[None])[0]
-        T = self.label.T_camera_object.copy()
-        T[:3, 3] = centre - T[:3, :3] @ self._model(name).centre
-        label = replace(self.label, object_name=name, T_camera_object=T)
+        T = self.tools.centred(self.label.T_camera_object)
+        T_camera_object = self._tools_for(name).from_centred(T)
+        label = replace(self.label, object_name=name, T_camera_object=T_camera_object)
         self._change(label, "object chosen")
 
     def snap_object(self) -> None:
@@ -199,14 +229,15 @@ class Workbench:
         Raises:
             NoAnswer: it has none.
         """
-        self.proposals = self.tools.propose(self.file.name, self.raw, self.label)
-        self.take_proposal(0)
+        self._proposals = self.tools.propose(self.file.name, self.raw, self.label)
+        self._take(self._proposals, 0)
 
-    def take_proposal(self, index: int) -> None:
-        """Take one of the estimator's answers to this image as the label."""
-        if self.proposals is not None and self.proposals.image == self.file.name:
-            label = replace(self.proposals.labels[index], status=self.label.status)
-            self._change(label, f"proposal {1 + index} taken")
+    def take_next_proposal(self) -> None:
+        """Take the estimator's next answer to this image, after the last one the first."""
+        if self.proposals is None:
+            self.propose()
+        else:
+            self._take(self.proposals, (self._taken + 1) % len(self.proposals.labels))
 
     def mark(self, status: Status) -> None:
         """Say how far the image is, and go to the next open one if it is finished."""
@@ -234,8 +265,15 @@ class Workbench:
 
     # How
 
+    def _take(self, proposals: Proposals, index: int) -> None:
+        self._taken = index
+        label = replace(proposals.labels[index], status=self.label.status)
+        self._change(label, f"proposal {1 + index} taken")
+
     def _change(self, label: Label, what: str, *, join: bool = False) -> None:
-        self._commit(self.session.change(label, what, join=join))
+        now, last = self._clock(), self._last_change
+        self._last_change = now
+        self._commit(self.session.change(label, what, join=join and now - last < PAUSE))
 
     def _commit(self, session: Session) -> None:
         if session is not self.session or self.save_problem:
@@ -255,18 +293,3 @@ class Workbench:
             obj = self.objects[name].load()
             self._tools[name] = Tools(self.hand.model, obj, self._config, self._device)
         return self._tools[name]
-
-    def _check_labels(self) -> None:
-        """Raise InputError when the saved labels do not fit the hand and the objects."""
-        for image, label in self.session.labels.items():
-            if label.object_name not in self.objects:
-                raise InputError(
-                    f'the label of {image} in {self._path} is of the object "{label.object_name}", '
-                    f"which is not among {', '.join(self.objects)}: name its mesh too"
-                )
-            try:
-                self.hand.model.joint_vector(label.joint_positions)
-            except InputError as error:
-                raise InputError(
-                    f"the labels in {self._path} are of another hand: {error}"
-                ) from error

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from inhand.cli import bench, demo, estimate, report, synth, warmup
+from inhand.cli import annotate, bench, demo, estimate, report, synth, warmup
 from inhand.errors import InputError
 
 FOUND, NOT_FOUND, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -21,6 +21,7 @@ _RUN: dict[type, Callable[[Any], int | None]] = {
     bench.Bench: bench.run,
     report.Report: report.run,
     synth.Synth: synth.run,
+    annotate.Annotate: annotate.run,
     warmup.Warmup: warmup.run,
 }
 _Command = (
@@ -29,6 +30,7 @@ _Command = (
     | Annotated[bench.Bench, tyro.conf.subcommand("bench")]
     | Annotated[report.Report, tyro.conf.subcommand("report")]
     | Annotated[synth.Synth, tyro.conf.subcommand("synth")]
+    | Annotated[annotate.Annotate, tyro.conf.subcommand("annotate")]
     | Annotated[warmup.Warmup, tyro.conf.subcommand("warmup")]
 )
 
