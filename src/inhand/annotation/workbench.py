@@ -154,19 +154,24 @@ class Workbench:
         self._last_change = -np.inf
 
     def place_object(self, T_camera_centre: Array) -> None:
-        """Put the object at a pose, (4, 4), with its origin at the object's centre."""
+        """Put the object at a pose, (4, 4), with its origin at the object's centre: a drag.
+
+        All of a drag is one step, which begins with `begin_step`.
+        """
         T = self.tools.from_centred(T_camera_centre)
-        self._change(replace(self.label, T_camera_object=T), "object placed", join=True)
+        self._change(replace(self.label, T_camera_object=T), "object dragged", within=np.inf)
 
     def place_centre(self, centre: Array) -> None:
         """Put the object's centre to a point [m], camera frame, shape (3,), and turn nothing."""
         T = self.tools.centred(self.label.T_camera_object)
         T[:3, 3] = centre
-        self.place_object(T)
+        label = replace(self.label, T_camera_object=self.tools.from_centred(T))
+        self._change(label, "object placed")
 
     def place_hand(self, T_camera_hand: Array) -> None:
-        """Put the hand at a wrist pose, shape (4, 4)."""
-        self._change(replace(self.label, T_camera_hand=T_camera_hand), "hand placed", join=True)
+        """Put the hand at a wrist pose, shape (4, 4): a drag, as `place_object`."""
+        label = replace(self.label, T_camera_hand=T_camera_hand)
+        self._change(label, "hand dragged", within=np.inf)
 
     def nudge_object(self, turn: Array, shift: Array, what: str) -> None:
         """Move the object a little.
@@ -181,12 +186,12 @@ class Workbench:
         T[:3, :3] = exp_so3(turn) @ T[:3, :3]
         T[:3, 3] += shift
         label = replace(self.label, T_camera_object=self.tools.from_centred(T))
-        self._change(label, what, join=True)
+        self._change(label, what, within=PAUSE)
 
     def bend(self, joint: str, position: float) -> None:
         """Put a joint, by its name, to a position [rad, m]."""
         joints = {**self.label.joint_positions, joint: position}
-        self._change(replace(self.label, joint_positions=joints), f"{joint} moved", join=True)
+        self._change(replace(self.label, joint_positions=joints), f"{joint} moved", within=PAUSE)
 
     def take_object(self, name: str) -> None:
         """Say that another object is in the hand; it takes the place of the one before."""
@@ -270,10 +275,11 @@ class Workbench:
         label = replace(proposals.labels[index], status=self.label.status)
         self._change(label, f"proposal {1 + index} taken")
 
-    def _change(self, label: Label, what: str, *, join: bool = False) -> None:
+    def _change(self, label: Label, what: str, *, within: float = 0.0) -> None:
+        """Change the label; the same again `within` so many seconds is one step."""
         now, last = self._clock(), self._last_change
         self._last_change = now
-        self._commit(self.session.change(label, what, join=join and now - last < PAUSE))
+        self._commit(self.session.change(label, what, join=now - last < within))
 
     def _commit(self, session: Session) -> None:
         if session is not self.session or self.save_problem:
