@@ -119,11 +119,14 @@ class ViserPage:
             assert time.monotonic() < end, "the page does not come to rest"
             last = now
 
-    def press(self, slider: str, key: str, times: int = 1) -> None:
-        """Move a slider by keys such as ArrowRight, by its label."""
-        thumb = self._row(slider).get_by_role("slider")
-        for _ in range(times):
-            thumb.press(key)
+    def slide(self, slider: str, share: float) -> None:
+        """Move a slider to a share, 0 to 1, of its way, by its label.
+
+        By mouse: the 3D view turns by the arrow keys, wherever they are pressed.
+        """
+        track = self._row(slider).locator(".mantine-Slider-trackContainer")
+        box = track.bounding_box()
+        track.click(position={"x": share * (box["width"] - 1), "y": box["height"] / 2})
 
     def enter(self, label: str, value: float | str) -> None:
         """Type a value into the field with a label; sliders have one too."""

@@ -176,7 +176,7 @@ def test_buttons_and_keys_do_the_same(bench: Workbench, page: ViserPage) -> None
 
 
 def test_pictures_follow_the_label(bench: Workbench, page: ViserPage) -> None:
-    page.wait_for_text("pixels within")
+    page.wait_for_text("px within")
     view, pictures = page.wait_until_still(), page.pictures()
     page.enter(joint_field(bench.hand.model.joint_names[0]), 10)
     page.wait_until(lambda: page.pictures() != pictures, "other pictures")
@@ -286,7 +286,7 @@ def test_problems_are_said_and_the_page_goes_on(
     page.click("Next")
     page.wait_for_text("cannot read the image")
     page.click("Previous")
-    page.wait_for_text("pixels within")
+    page.wait_for_text("px within")
 
 
 def saved(folder: Path) -> Session:

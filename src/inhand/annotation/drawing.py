@@ -58,9 +58,7 @@ class LabelDrawing:
         if self._object is None or self._object[0] != label.object_name:
             if self._object is not None:
                 self._object[1].remove()
-            drawing = ObjectDrawing(
-                self._view, "object", obj.mesh, OBJECT_COLOUR, OPACITY, axes=0.6 * obj.diameter
-            )
+            drawing = ObjectDrawing(self._view, "object", obj.mesh, OBJECT_COLOUR, OPACITY)
             self._object = (label.object_name, drawing)
         self._object[1].draw(label.T_camera_object)
 
@@ -103,8 +101,7 @@ class LabelPictures:
         panel.dock_left()
         panel.set_width(PANEL_WIDTH)
         gui.main_panel.dock_right()
-        self._image = ""
-        self._window: Window | None = None
+        self._image, self._window = "", Window(0.0, 0.0, 1.0)
 
     def show(self, bench: Workbench) -> None:
         """Show the image that is looked at, with its label."""
@@ -113,11 +110,10 @@ class LabelPictures:
         except InputError:
             return  # the page has said so
         placement = Placement(label.T_camera_hand, bench.joint_vector, label.T_camera_object)
-        rendering = tools.renderer.render(raw.camera, placement)
-        if bench.file.name != self._image or not _fits(self._window, rendering):
+        shown = tools.renderer.render(raw.camera, placement)
+        if bench.file.name != self._image or not _fits(self._window, shown):
             self._image = bench.file.name
-            self._window = Window.around(rendering.is_hand | rendering.is_object)
-        assert self._window is not None
+            self._window = Window.around(shown.is_hand | shown.is_object)
         pictures = Pictures(tools.renderer, raw.depth, raw.camera, self._window, raw.rgb)
         self._silhouettes.image = pictures.silhouettes(placement)
         self._residuals.image, residuals = pictures.residuals(placement)
@@ -130,10 +126,10 @@ class LabelPictures:
         self._numbers.content = ""
 
 
-def _fits(window: Window | None, rendering: Rendering) -> bool:
-    """Whether all that is seen of hand and object lies in a window."""
+def _fits(window: Window, rendering: Rendering) -> bool:
+    """Whether all that is seen of hand and object, and something, lies in a window."""
     v, u = np.nonzero(rendering.is_hand | rendering.is_object)
-    if window is None or not len(u):
+    if not len(u):
         return False
     low, high = np.array([window.u0, window.v0]), np.array([window.u0, window.v0]) + window.side
     return bool((low <= [u.min(), v.min()]).all() and ([u.max(), v.max()] <= high).all())

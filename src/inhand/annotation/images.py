@@ -7,7 +7,7 @@ Three layouts are known by their files:
 - A folder with `camera.json` (as for `inhand estimate`), `depth/NAME.png` (or .tif, .exr, .npy)
   and, where there are any, `rgb/NAME.png` and `hand_pose/NAME.json`, or one `hand_pose.json` for
   all images. A single image may lie in the folder itself: `depth.png`, `rgb.png`.
-- Folders of `.npz` frames (see `datasets.npz`), whose truth is not looked at.
+- Folders of `.npz` frames (see `datasets.npz`); of their truth, only the object's name is read.
 """
 
 from collections import Counter
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from inhand.camera import Camera
 from inhand.datasets import bop, bop_models
 from inhand.datasets.exact import read_json, rigid
-from inhand.datasets.frames import find_frames, frame_name, read_frame
+from inhand.datasets.frames import find_frames, frame_name, object_name, read_frame
 from inhand.errors import InputError
 from inhand.io import read_colour, read_depth, read_transform
 
@@ -183,7 +183,7 @@ def _read_folder_image(folder: Path, depth: Path, name: str, camera: Camera) -> 
 
 def _npz_images(folder: Path) -> list[ImageFile]:
     return [
-        ImageFile(frame_name(path), 1, number, partial(_read_npz_image, path))
+        ImageFile(frame_name(path), 1, number, partial(_read_npz_image, path), object_name(path))
         for number, path in enumerate(find_frames([folder]))
     ]
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from inhand.cli import annotate, bench, demo, estimate, report, synth, warmup
+from inhand.cli import annotate, bench, demo, estimate, report, synth, view, warmup
 from inhand.errors import InputError
 
 FOUND, NOT_FOUND, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -22,6 +22,7 @@ _RUN: dict[type, Callable[[Any], int | None]] = {
     report.Report: report.run,
     synth.Synth: synth.run,
     annotate.Annotate: annotate.run,
+    view.View: view.run,
     warmup.Warmup: warmup.run,
 }
 _Command = (
@@ -31,6 +32,7 @@ _Command = (
     | Annotated[report.Report, tyro.conf.subcommand("report")]
     | Annotated[synth.Synth, tyro.conf.subcommand("synth")]
     | Annotated[annotate.Annotate, tyro.conf.subcommand("annotate")]
+    | Annotated[view.View, tyro.conf.subcommand("view")]
     | Annotated[warmup.Warmup, tyro.conf.subcommand("warmup")]
 )
 

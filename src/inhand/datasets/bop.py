@@ -318,6 +318,15 @@ def frame_target(path: Path) -> Target:
     return int(scene.name), image_id, int(instances[index]["obj_id"])
 
 
+def read_object_name(path: Path) -> str:
+    """Name of the object in the frame that a path names.
+
+    Raises:
+        InputError: the scene does not have the frame.
+    """
+    return model_name(find_models(dataset_folder(path.parents[1])), frame_target(path)[2])
+
+
 @lru_cache(maxsize=4)
 def _read_scene(scene: Path, _changed: tuple[int, ...]) -> SceneFiles:
     truth = by_image(read_json(scene / TRUTH), scene / TRUTH)

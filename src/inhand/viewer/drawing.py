@@ -20,9 +20,9 @@ Array = NDArray[np.float64]
 
 CAMERA = "/camera"
 """Node of the depth camera's frame."""
-DISTANCE = 0.35
+DISTANCE = 0.26
 """How far from the middle the page's view starts [m], on the depth camera's side."""
-POINT_SIZE = 0.0012
+POINT_SIZE = 0.0009
 """Edge length of a point [m]."""
 
 
@@ -40,6 +40,8 @@ class View:
         server.initial_camera.position = (0.35 * DISTANCE, -0.5 * DISTANCE, -0.85 * DISTANCE)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.initial_camera.near = 0.005
+        self._last_camera: Any = None
+        server.on_client_connect(self._welcome)
 
     def look_at(self, point: Array) -> None:
         """Put a point [m], camera frame, shape (3,), into the middle of the page."""
@@ -52,6 +54,19 @@ class View:
                 client.camera.up_direction = (0.0, -1.0, 0.0)
                 client.camera.position = tuple(self._camera.position)
                 client.camera.look_at = (0.0, 0.0, 0.0)
+
+    def _welcome(self, client: Any) -> None:
+        """Give a browser the view that the last one had: most often it is the same, come back."""
+        last = self._last_camera
+        if last is not None:
+            with client.atomic():
+                client.camera.up_direction = last.up_direction
+                client.camera.position = last.position
+                client.camera.look_at = last.look_at
+        client.camera.on_update(self._remember)
+
+    def _remember(self, camera: Any) -> None:
+        self._last_camera = camera
 
 
 class CloudDrawing:
@@ -111,14 +126,24 @@ class HandDrawing:
             for link in hand.links
         ]
 
-    def draw(self, T_camera_hand: Array, joint_vector: Array) -> None:
-        """Show the hand at a wrist pose, (4, 4), and joint positions [rad, m], shape (n,)."""
+    def draw(
+        self, T_camera_hand: Array, joint_vector: Array, shown: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Show the hand.
+
+        Args:
+            T_camera_hand: its wrist pose, shape (4, 4).
+            joint_vector: positions of the independent joints [rad, m], shape (n,).
+            shown: which links to show, shape (L,); None for all.
+        """
         with self._server.atomic():
             move(self._root, T_camera_hand)
             for node, T in zip(
                 self._links, self._hand.forward_kinematics(joint_vector), strict=True
             ):
                 move(node, T)
+            for i, node in enumerate(self._links):
+                node.visible = shown is None or bool(shown[i])
             self._root.visible = True
 
     def hide(self) -> None:
@@ -137,6 +162,7 @@ class ObjectDrawing:
         opacity: 0 to 1, None for solid.
         wireframe: draw edges instead of faces.
         axes: length of its axes [m], 0 for none.
+        centre: where they are drawn [m], in its own frame, shape (3,); its origin may lie outside.
     """
 
     def __init__(
@@ -149,15 +175,18 @@ class ObjectDrawing:
         *,
         wireframe: bool = False,
         axes: float = 0.0,
+        centre: Array | None = None,
     ) -> None:
         self._server = view.server
-        self._root = view.server.scene.add_frame(
-            f"{CAMERA}/{name}",
-            show_axes=axes > 0,
-            axes_length=axes,
-            axes_radius=axes / 40,
-            visible=False,
-        )
+        self._root = view.server.scene.add_frame(f"{CAMERA}/{name}", show_axes=False, visible=False)
+        if axes > 0:
+            view.server.scene.add_frame(
+                f"{CAMERA}/{name}/axes",
+                axes_length=axes,
+                axes_radius=axes / 60,
+                origin_radius=axes / 60,
+                position=np.zeros(3) if centre is None else centre,
+            )
         self._mesh = _add_mesh(
             self._server, f"{CAMERA}/{name}/mesh", mesh, colour, opacity, wireframe
         )
@@ -188,10 +217,11 @@ class CameraDrawing:
 
     def __init__(self, view: View, name: str = "pinhole", size: float = 0.05) -> None:
         self._scene, self._name, self._size = view.server.scene, f"{CAMERA}/{name}", size
+        self._node: Any = None
 
     def draw(self, camera: Camera, image: Pixels) -> None:
         """Show a camera with its image, shape (H, W, 3)."""
-        self._scene.add_camera_frustum(
+        self._node = self._scene.add_camera_frustum(
             self._name,
             fov=2 * float(np.arctan(camera.height / (2 * camera.fy))),
             aspect=camera.width / camera.height,
@@ -201,6 +231,11 @@ class CameraDrawing:
             image=image[::2, ::2],
             jpeg_quality=70,
         )
+
+    def hide(self) -> None:
+        """Show nothing."""
+        if self._node is not None:
+            self._node.visible = False
 
 
 def scene_cloud(

@@ -85,27 +85,39 @@ class Pictures:
     ) -> None:
         self.models, self.depth, self.camera, self.window = models, depth, camera, window
         self._size = size
+        self._last: dict[Camera, tuple[Placement, Rendering]] = {}
         self._enlarged_camera = window.camera(camera, size)
         background = grey_depth(depth, window.cut(depth, 0.0)) if colour is None else colour
         self._background = window.cut(background, OUTSIDE, size)
 
     def silhouettes(self, placement: Placement, truth: Placement | None = None) -> Pixels:
         """Hand and object outlined, and the true object if it is given, (size, size, 3)."""
-        drawn = draw_outlines(self._background, self._enlarged(placement))
+        drawn = draw_outlines(self._background, self._render(self._enlarged_camera, placement))
         if truth is not None:
             alone = replace(truth, T_camera_hand=None)
-            drawn[outline(self._enlarged(alone).silhouette)] = TRUE_COLOUR
+            of_truth = self.models.render(self._enlarged_camera, alone)
+            drawn[outline(of_truth.silhouette)] = TRUE_COLOUR
         return drawn
 
     def residuals(self, placement: Placement) -> tuple[Pixels, Residuals]:
         """The residual as colours, (size, size, 3), and in numbers."""
-        rendering = self.models.render(self.camera, placement)
+        rendering = self.rendering(placement)
+        enlarged = self._render(self._enlarged_camera, placement)
         pixels = self.window.cut(residual_map(self.depth, rendering), OUTSIDE, self._size)
-        pixels[outline(self._enlarged(placement).is_object, 2)] = OBJECT_COLOUR
+        pixels[outline(enlarged.is_object, 2)] = OBJECT_COLOUR
         return pixels, Residuals.of(rendering, self.depth)
 
-    def _enlarged(self, placement: Placement) -> Rendering:
-        return self.models.render(self._enlarged_camera, placement)
+    def rendering(self, placement: Placement) -> Rendering:
+        """Hand and object as the camera of the image sees them."""
+        return self._render(self.camera, placement)
+
+    def _render(self, camera: Camera, placement: Placement) -> Rendering:
+        """A rendering; the last one by every camera is kept, as several pictures need it."""
+        last = self._last.get(camera)
+        if last is None or last[0] is not placement:
+            last = placement, self.models.render(camera, placement)
+            self._last[camera] = last
+        return last[1]
 
 
 def _describe(residual: NDArray[np.float32]) -> str:
@@ -113,8 +125,8 @@ def _describe(residual: NDArray[np.float32]) -> str:
         return "not seen"
     agree = np.mean(np.abs(residual) < AGREES)
     return (
-        f"{1000 * np.median(np.abs(residual)):.1f} mm median, {agree:.0%} of {len(residual)} "
-        f"pixels within {1000 * AGREES:.0f} mm"
+        f"{1000 * np.median(np.abs(residual)):.1f} mm in the median, {agree:.0%} of "
+        f"{len(residual)} px within {1000 * AGREES:.0f} mm"
     )
 
 
