@@ -337,10 +337,15 @@ def running(command: list[str]) -> Iterator[tuple[subprocess.Popen[str], str, st
 
 
 def test_a_killed_server_loses_nothing(
-    command: list[str], browser: Any, tmp_path: Path, scenes: list[Scene]
+    command: list[str],
+    browser: Any,
+    tmp_path: Path,
+    scenes: list[Scene],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     joint = joint_field(scenes[PART].hand.joint_names[0])
     with running(command) as (process, where, _):
+        assert "another process is labelling into" in said_by(capsys, command)
         page = ViserPage(browser, where)
         page.wait_for_text(SAVED)
         page.click("Labelled")

@@ -15,7 +15,14 @@ from hypothesis import strategies as st
 from label_strategies import IMAGES, Action, actions, play
 
 from inhand.annotation.session import Label, Session
-from inhand.annotation.storage import SESSION_FILE, load_session, parse_session, save_session
+from inhand.annotation.storage import (
+    SESSION_FILE,
+    check_folder,
+    load_session,
+    locked,
+    parse_session,
+    save_session,
+)
 from inhand.errors import InputError
 
 LABEL = Label("can", np.eye(4), np.eye(4), {"bend": 0.5})
@@ -120,10 +127,21 @@ def test_a_full_disk_leaves_the_last_save(path: Path, monkeypatch: pytest.Monkey
     assert load_session(path, IMAGES)[0] == first
 
 
+def test_only_one_process_labels_into_a_folder(path: Path) -> None:
+    here = path.parent
+    with locked(here), pytest.raises(InputError, match="another process"), locked(here):
+        pass
+    with locked(here):
+        check_folder(here)
+
+
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot save"):
         save_session(tmp_path / "file" / SESSION_FILE, Session(IMAGES))
+    for use in (check_folder, lambda folder: locked(folder).__enter__()):
+        with pytest.raises(InputError, match="cannot"):
+            use(tmp_path / "file")
 
 
 def test_a_file_that_cannot_be_read_is_an_error(path: Path) -> None:

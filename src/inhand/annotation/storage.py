@@ -6,8 +6,8 @@ a process or machine that stops at any moment leaves a whole file: the old one o
 
 import json
 import os
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,10 +20,16 @@ from inhand.errors import InputError
 from inhand.geometry.se3 import check_rigid
 from inhand.hand import Hand
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 FORMAT = "inhand annotation 1"
 """What the file says it is."""
 SESSION_FILE = "annotation.json"
 """Name of the file in the output folder."""
+LOCK_FILE = ".annotation.lock"
 
 
 def check_folder(folder: Path) -> None:
@@ -38,6 +44,32 @@ def check_folder(folder: Path) -> None:
         raise InputError(
             f"{folder} is not empty and holds no {SESSION_FILE}: choose another folder"
         )
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other processes from labelling into a folder, until this one is done or dead.
+
+    Two that save to one file would lose each other's labels. Systems without `fcntl` (Windows) do
+    without.
+
+    Raises:
+        InputError: another process does that, or the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = (folder / LOCK_FILE).open("a")
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror or error}") from error
+    with file:
+        if fcntl is not None:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise InputError(
+                    f"another process is labelling into {folder}: stop that, or open its page"
+                ) from error
+        yield
 
 
 def save_session(path: Path, session: Session) -> None:

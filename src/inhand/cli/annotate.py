@@ -62,6 +62,7 @@ def run(args: Annotate) -> None:
     from inhand.annotation.ground_truth import LabelledHand
     from inhand.annotation.images import find_images
     from inhand.annotation.objects import find_objects
+    from inhand.annotation.storage import check_folder, locked
     from inhand.annotation.workbench import Workbench
     from inhand.cli.common import make_config
     from inhand.datasets.frames import find_hand
@@ -75,20 +76,22 @@ def run(args: Annotate) -> None:
     if urdf is None:
         raise InputError(f"{args.images} says nothing about the hand: name its URDF with --hand")
     objects = find_objects(args.images, args.objects, args.unit)
+    check_folder(args.out)
     device = resolve_device(args.device)
     load_kernels(device, console)
     with console.status("Building the model of the hand (from the cache next time)"):
         hand = LabelledHand(Hand.from_urdf(urdf, args.package_paths), urdf, args.package_paths)
     config = make_config("default", args.seed)
-    bench = Workbench(files, hand, objects, args.out, config, device)
-    if bench.remark:
-        console.print(f"[yellow]{bench.remark}[/yellow]", highlight=False)
-    if args.write:
-        with console.status("Writing the data set"):
-            number = bench.write()
-        console.print(f"{number} images are in {args.out}", highlight=False)
-    else:
-        _serve(args, bench, console)
+    with locked(args.out):
+        bench = Workbench(files, hand, objects, args.out, config, device)
+        if bench.remark:
+            console.print(f"[yellow]{bench.remark}[/yellow]", highlight=False)
+        if args.write:
+            with console.status("Writing the data set"):
+                number = bench.write()
+            console.print(f"{number} images are in {args.out}", highlight=False)
+        else:
+            _serve(args, bench, console)
 
 
 def _serve(args: Annotate, bench: "Workbench", console: "Console") -> None:
