@@ -114,7 +114,7 @@ class LabellingPage:
         """Show what the workbench holds; the control that is being moved stays as it is."""
         bench = self._bench
         self._image_status.show(bench)
-        self._save_status.show(bench.save_problem)
+        self._save_status.show(bench)
         try:
             raw, label, q, tools = bench.raw, bench.label, bench.joint_vector, bench.tools
         except InputError as problem:

@@ -16,7 +16,7 @@ from inhand.errors import InputError
 Array = NDArray[np.float64]
 Status = Literal["open", "labelled", "skipped"]
 STATUSES: tuple[Status, ...] = get_args(Status)
-HISTORY = 500
+HISTORY = 200
 """Changes that can be undone at most; those before are forgotten."""
 
 

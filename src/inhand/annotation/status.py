@@ -49,14 +49,17 @@ class SaveStatus:
         self._button = gui.add_button("Save again", color="red", visible=False)
         self._button.on_click(lambda _: save())
 
-    def show(self, problem: str) -> None:
-        """Show why the labels are not saved, or that they are."""
-        self._text.content = (
-            f"**NOT SAVED**: {problem}. Your labels are kept in memory: do not stop the program; "
-            "make room, then save again."
-            if problem
-            else "All changes are saved."
-        )
+    def show(self, bench: Workbench) -> None:
+        """Show why the labels are not saved, or that they are, and what the last change was."""
+        problem, past = bench.save_problem, bench.session.past
+        if problem:
+            self._text.content = (
+                f"**NOT SAVED**: {problem}. Your labels are kept in memory: do not stop the "
+                "program; make room, then save again."
+            )
+        else:
+            last = f" Last: {past[-1].what}." if past else ""
+            self._text.content = f"All changes are saved.{last}"
         self._button.visible = bool(problem)
 
 

@@ -30,7 +30,8 @@ class Annotate:
     out: Path
     """Folder of the labels and of the data set that is made of them."""
     hand: Path | None = None
-    """URDF of the hand. Default: the one that a data set with ground truth names."""
+    """URDF of the hand. Default: the one that a data set with ground truth names, or `hand.urdf` in
+    the folder of images or above."""
     package_paths: dict[str, Path] = field(default_factory=dict)
     """Folders of ROS packages that the URDF names: NAME FOLDER, repeated."""
     objects: tuple[Path, ...] = ()
