@@ -164,10 +164,12 @@ def test_buttons_and_keys_do_the_same(bench: Workbench, page: ViserPage) -> None
     page.click("Undo")
     page.wait_until(lambda: bench.label == proposed, "undo by the button")
     page.tab.keyboard.press("n")
-    page.wait_for_text("b (image 2 of 2)")
+    page.wait_for_text("b: open")
     page.tab.keyboard.press("x")
     page.wait_for_text("1 skipped")
-    page.wait_for_text("a (image 1 of 2)")
+    page.wait_for_text("a: open")
+    page.enter("Image (of 2)", 2)
+    page.wait_for_text("b: skipped")
     # A letter that is typed into a field is no key.
     field = page._row("Step [mm]").locator("input:visible").last
     field.press("x")
@@ -363,7 +365,7 @@ def test_a_killed_server_loses_nothing(
     with running(command) as (process, where, said):
         assert "1 of 2 images are labelled" in said
         page = ViserPage(browser, where)
-        page.wait_for_text("b (image 2 of 2)")
+        page.wait_for_text("b: open")
         page.wait_until(lambda: page.value(joint) == "55", "the finger where it was")
         assert saved(tmp_path / "out") == before
         page.click("Undo")

@@ -36,7 +36,7 @@ def saved(bench: Workbench) -> Session:
 
 def object_error(bench: Workbench, scene: Scene) -> tuple[float, float]:
     """Error of the label's object pose [m, deg], up to symmetries."""
-    error = bench.difference_from(true_label(scene))
+    error = bench.tools.difference(bench.label, true_label(scene))
     return error.translation, float(np.degrees(error.rotation))
 
 
@@ -120,8 +120,7 @@ def test_proposals_differ_by_more_than_a_symmetry(bench: Workbench, scenes: list
     labels = bench.proposals.labels
     for i, one in enumerate(labels):
         for other in labels[:i]:
-            metric = bench.tools.snapper.metric
-            error = metric.pose_error(one.T_camera_object, other.T_camera_object)
+            error = bench.tools.difference(one, other)
             assert error.translation > 1e-4 or error.rotation > 0.01
 
 

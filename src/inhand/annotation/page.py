@@ -32,7 +32,9 @@ class LabellingPage:
         self.worker = Worker(self.tell)
         self._number = count()
         gui = server.gui
-        self._image_status = ImageStatus(gui)
+        self._image_status = ImageStatus(
+            gui, len(bench.files), lambda index: self._do(lambda: bench.go_to(index))
+        )
         self._save_status = SaveStatus(gui, lambda: self._do(bench.save))
         self._message = gui.add_markdown("")
         self._drawing = LabelDrawing(server, bench.hand.model)

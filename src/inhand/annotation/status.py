@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from inhand.annotation.controls import on_user, set_value
 from inhand.annotation.workbench import Workbench
 from inhand.viewer.silhouettes import Residuals
 
@@ -14,26 +15,30 @@ class ImageStatus:
 
     Args:
         gui: `server.gui` of viser.
+        images: number of images.
+        go: called with the index of the image that the user wants.
     """
 
-    def __init__(self, gui: Any) -> None:
+    def __init__(self, gui: Any, images: int, go: Callable[[int], None]) -> None:
         self._text = gui.add_markdown("")
         self._progress = gui.add_progress_bar(0.0, color="teal")
+        self._number = gui.add_number(
+            f"Image (of {images})", 1, min=1, max=images, step=1, visible=images > 1
+        )
+        on_user(self._number, lambda: go(int(self._number.value) - 1))
 
     def show(self, bench: Workbench) -> None:
         """Show how far a session is."""
         session = bench.session
-        total, labelled, skipped = (
-            len(session.images),
-            session.count("labelled"),
-            session.count("skipped"),
-        )
-        self._text.content = (
-            f"**{session.image}** (image {session.position + 1} of {total}): "
-            f"**{session.status(session.image)}**  \n"
-            f"**{labelled} of {total} labelled**" + (f", {skipped} skipped" if skipped else "")
-        )
+        total, labelled = len(session.images), session.count("labelled")
+        skipped = session.count("skipped")
+        text = f"**{session.image}**: **{session.status(session.image)}**  \n"
+        text += f"**{labelled} of {total} labelled**" + (f", {skipped} skipped" if skipped else "")
+        if labelled + skipped == total:
+            text += "  \nNone is left: write the data set."
+        self._text.content = text
         self._progress.value = 100.0 * (labelled + skipped) / total
+        set_value(self._number, session.position + 1)
 
 
 class SaveStatus:
@@ -68,7 +73,7 @@ def describe(bench: Workbench, residuals: Residuals) -> str:
     lines = [residuals.summary()]
     if bench.proposals is not None:
         best = bench.proposals.labels[0]
-        apart = bench.difference_from(best)
+        apart = bench.tools.difference(bench.label, best)
         lines.append(
             f"- **estimator** (confidence {bench.proposals.confidence:.2f}): its best answer is "
             f"{1000 * apart.translation:.1f} mm and {np.degrees(apart.rotation):.1f}° away, up to "

@@ -9,6 +9,7 @@ from inhand.annotation.snap import Snapper
 from inhand.config import EstimatorConfig
 from inhand.errors import NoAnswer
 from inhand.estimator import PoseEstimator
+from inhand.evaluation.metrics import PoseError
 from inhand.geometry.se3 import transform
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
@@ -50,6 +51,11 @@ class Tools:
     def renderer(self) -> ModelRenderer:
         """Draws hand and object."""
         return ModelRenderer(self.hand, self.obj, self.device)
+
+    def difference(self, one: Label, other: Label) -> PoseError:
+        """How far the objects of two labels are apart, up to the object's symmetries."""
+        metric = self.snapper.metric
+        return metric.pose_error(one.T_camera_object, other.T_camera_object)
 
     def centred(self, T_camera_object: Array) -> Array:
         """An object pose, (4, 4), with its origin at the object's centre: what it is turned about.

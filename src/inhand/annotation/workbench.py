@@ -27,7 +27,6 @@ from inhand.annotation.storage import (
 from inhand.annotation.tools import Proposals, Tools
 from inhand.config import EstimatorConfig
 from inhand.errors import InputError
-from inhand.evaluation.metrics import PoseError
 from inhand.geometry.se3 import exp_so3
 from inhand.object_model import ObjectModel
 
@@ -126,16 +125,15 @@ class Workbench:
         found = self._proposals
         return found if found is not None and found.image == self.file.name else None
 
-    def difference_from(self, other: Label) -> PoseError:
-        """How far the label's object is from another label's, up to its symmetries."""
-        metric = self.tools.snapper.metric
-        return metric.pose_error(self.label.T_camera_object, other.T_camera_object)
-
     # What the user does
+
+    def go_to(self, position: int) -> None:
+        """Look at the image at an index."""
+        self._commit(self.session.go_to(position))
 
     def go(self, step: int) -> None:
         """Look at the image so many farther on."""
-        self._commit(self.session.go_to(self.session.position + step))
+        self.go_to(self.session.position + step)
 
     def go_to_next_open(self) -> None:
         """Look at the next image that is neither labelled nor skipped."""
