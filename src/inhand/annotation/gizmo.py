@@ -41,6 +41,12 @@ class Gizmo:
         """Where it is in the camera, shape (4, 4)."""
         return pose_of(self._node)
 
+    @property
+    def has_moved(self) -> bool:
+        """Whether it is elsewhere than it was put: to touch it moves nothing."""
+        put = self._poses.get(self.target)
+        return put is not None and not np.allclose(put, self.pose, rtol=0, atol=1e-6)
+
     def show(self, T_camera_object: Array, T_camera_hand: Array) -> None:
         """Put the handle to where hand and object are; poses (4, 4) of what is turned about."""
         self._poses = {"object": T_camera_object, "hand": T_camera_hand}
@@ -50,9 +56,9 @@ class Gizmo:
     def _place(self) -> None:
         pose = self._poses.get(self.target)
         self._node.visible = pose is not None
-        if pose is not None and not np.allclose(pose, self.pose, atol=1e-9):
+        if pose is not None:
             move(self._node, pose)
 
-    def _on_drag(self, event: Any) -> None:
+    async def _on_drag(self, event: Any) -> None:  # async: viser keeps the phases in order
         self._dragged = event.phase != "end"
         self._moved(event.phase == "start")

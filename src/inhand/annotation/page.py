@@ -50,8 +50,8 @@ class LabellingPage:
         )
         self._joints = JointControls(gui, bench.hand.model, self._bent)
         gui.add_button("Look from the camera").on_click(lambda _: self._drawing.look_from_camera())
-        self._write = gui.add_button("Write the data set", color="teal")
-        self._write.on_click(lambda _: self._do(self._write_data_set))
+        write = gui.add_button("Write the data set", color="teal")
+        write.on_click(lambda _: self._do(self._write_data_set))
         add_keys(gui)
         self._do(lambda: None)
         if bench.remark:
@@ -82,9 +82,9 @@ class LabellingPage:
         self._do(self._take_gizmo, moving="gizmo")
 
     def _take_gizmo(self) -> None:
-        if self._gizmo.target == "object":
+        if self._gizmo.has_moved and self._gizmo.target == "object":
             self._bench.place_object(self._gizmo.pose)
-        elif self._gizmo.target == "hand":
+        elif self._gizmo.has_moved and self._gizmo.target == "hand":
             self._bench.place_hand(self._gizmo.pose)
 
     def _write_data_set(self) -> None:
@@ -101,11 +101,9 @@ class LabellingPage:
         name = moving or f"action {next(self._number)}"
 
         def job() -> None:
-            before = self._message.content
+            self._message.content = ""
             try:
                 act()
-                if self._message.content == before:
-                    self._message.content = ""
             except (InputError, NoAnswer) as problem:
                 self.tell(str(problem))
             self._show(moving)

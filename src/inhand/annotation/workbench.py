@@ -164,7 +164,7 @@ class Workbench:
         T = self.tools.centred(self.label.T_camera_object)
         T[:3, 3] = centre
         label = replace(self.label, T_camera_object=self.tools.from_centred(T))
-        self._change(label, "object placed")
+        self._change(label, "object placed", within=PAUSE)
 
     def place_hand(self, T_camera_hand: Array) -> None:
         """Put the hand at a wrist pose, shape (4, 4): a drag, as `place_object`."""
