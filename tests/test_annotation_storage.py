@@ -3,6 +3,9 @@
 import errno
 import json
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -125,6 +128,35 @@ def test_a_full_disk_leaves_the_last_save(path: Path, monkeypatch: pytest.Monkey
     assert os.listdir(path.parent) == [SESSION_FILE]
     monkeypatch.undo()
     assert load_session(path, IMAGES)[0] == first
+
+
+SAVER = """
+import sys
+from pathlib import Path
+import numpy as np
+from inhand.annotation.session import Label, Session
+from inhand.annotation.storage import save_session
+session = Session(("a", "b"))
+for number in range(1, 100_000):
+    session = session.change(Label("can", np.eye(4), np.eye(4), {"bend": number}), "finger moved")
+    save_session(Path(sys.argv[1]), session)
+    print(number, flush=True)
+"""
+
+
+@pytest.mark.parametrize("changes", [1, 20, 57])
+def test_a_killed_process_leaves_a_whole_file(path: Path, changes: int) -> None:
+    """Nothing that was said to be saved is lost."""
+    command = [sys.executable, "-c", SAVER, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        said = [int(process.stdout.readline()) for _ in range(changes)]
+        process.send_signal(signal.SIGKILL)
+        said += [int(line) for line in process.stdout.read().splitlines()]
+    session, remark = load_session(path, ("a", "b"))
+    assert remark == ""
+    assert session.label is not None
+    assert session.label.joint_positions["bend"] >= said[-1]
 
 
 def test_only_one_process_labels_into_a_folder(path: Path) -> None:
