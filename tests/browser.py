@@ -25,9 +25,28 @@ ARGUMENTS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )
-SIZE = {"width": 1500, "height": 900}
-"""Of the page [pixel]."""
-PATIENCE = 60.0
+SIZE = (1100, 700)
+"""Of the page [pixel]; WebGL on the CPU draws larger ones slowly."""
+ON_THE_CPU = """
+const ask = WebGL2RenderingContext.prototype.getParameter;
+WebGL2RenderingContext.prototype.getParameter = function (name) {
+  return name === 0x9246 ? "a test" : ask.call(this, name);  // UNMASKED_RENDERER_WEBGL
+};
+"""
+"""viser shows a note that WebGL runs on the CPU, unless it is told another name."""
+FREE_COLUMNS = """() => {
+  const free = [];
+  for (let x = 0; x < innerWidth; x += 2)
+    if (document.elementFromPoint(x, innerHeight / 2)?.tagName === "CANVAS") free.push(x);
+  return [Math.min(...free), Math.max(...free)];
+}"""
+"""Where no panel hides the 3D view, half-way down."""
+THREE_FRAMES = """() => new Promise(done => {
+  let left = 4;
+  const frame = () => --left ? requestAnimationFrame(frame) : done();
+  frame();
+})"""
+PATIENCE = 90.0
 """How long anything may take [s]: with others on two cores, WebGL on the CPU is slow."""
 
 Pixels = NDArray[np.uint8]
@@ -54,17 +73,18 @@ class ViserPage:
     Args:
         browser: as from `chromium`.
         address: of the page.
+        size: width and height of the tab [pixel].
     """
 
-    def __init__(self, browser: Any, address: str) -> None:
-        self.tab = browser.new_page(viewport=SIZE)
+    def __init__(self, browser: Any, address: str, size: tuple[int, int] = SIZE) -> None:
+        self.tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
         self.tab.set_default_timeout(1000 * PATIENCE)
         self.errors: list[str] = []
         """What went wrong in the page's scripts."""
         self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.tab.add_init_script(ON_THE_CPU)
         self.tab.goto(address)
         self.tab.locator("canvas").first.wait_for()
-        self._close_notes()
 
     def close(self) -> None:
         """Close the tab."""
@@ -75,13 +95,15 @@ class ViserPage:
         return _decoded(self.tab.screenshot(path=path))
 
     def scene(self) -> Pixels:
-        """The 3D view as it is now, without what lies beside it, shape (h, w, 3)."""
-        box = self.tab.locator("canvas").first.bounding_box()
-        return _decoded(self.tab.screenshot(clip=box))
+        """The 3D view as it is now, without the panels beside it, shape (h, w, 3)."""
+        left, right = self.tab.evaluate(FREE_COLUMNS)
+        height = self.tab.viewport_size["height"]
+        clip = {"x": left, "y": 0, "width": right - left, "height": height}
+        return _decoded(self.tab.screenshot(clip=clip))
 
     def pictures(self) -> list[str]:
         """Sources of the images in the panels, from top to bottom: they change with the images."""
-        shown = self.tab.locator("img[src^='blob:'], img[src^='data:']").all()
+        shown = self.tab.locator("img[src^='blob:']").all()
         return [image.get_attribute("src") or "" for image in shown]
 
     def text(self) -> str:
@@ -108,16 +130,33 @@ class ViserPage:
             self.tab.wait_for_timeout(100)
 
     def wait_until_still(self) -> Pixels:
-        """Wait until the page changes no more, and return its 3D view, shape (h, w, 3)."""
-        last = self.scene()
-        end = time.monotonic() + PATIENCE
-        while True:
-            self.tab.wait_for_timeout(700)
-            now = self.scene()
-            if np.array_equal(last, now):
-                return now
-            assert time.monotonic() < end, "the page does not come to rest"
-            last = now
+        """Wait until the 3D view changes no more, and return it, shape (h, w, 3).
+
+        Raises:
+            AssertionError: it does not come to rest.
+        """
+        seen = [self.scene()]
+
+        def at_rest() -> bool:
+            self.tab.evaluate(THREE_FRAMES)  # however long they take
+            seen.append(self.scene())
+            return np.array_equal(seen[-2], seen[-1])
+
+        self.wait_until(at_rest, "the 3D view to come to rest")
+        return seen[-1]
+
+    def wait_for_change(self, before: Pixels, pixels: int = 300) -> Pixels:
+        """Wait until the 3D view differs from what it was, and return it when it is at rest.
+
+        Args:
+            before: as from `scene`, shape (h, w, 3).
+            pixels: how many must differ at least.
+
+        Raises:
+            AssertionError: it does not change.
+        """
+        self.wait_until(lambda: changed(before, self.scene()) >= pixels, "another 3D view")
+        return self.wait_until_still()
 
     def slide(self, slider: str, share: float) -> None:
         """Move a slider to a share, 0 to 1, of its way, by its label.
@@ -155,14 +194,6 @@ class ViserPage:
         """The label's row in a panel: the label and what it belongs to."""
         exact = self.tab.get_by_text(label, exact=True).and_(self.tab.locator("label"))
         return exact.locator("xpath=ancestor::div[contains(@class,'mantine-Flex-root')][1]")
-
-    def _close_notes(self) -> None:
-        """Close the note that WebGL runs on the CPU, if there is one."""
-        note = self.tab.locator(".mantine-Notification-closeButton")
-        try:
-            note.first.click(timeout=10_000)
-        except Exception:  # Playwright's TimeoutError: WebGL runs elsewhere
-            return
 
 
 def _decoded(png: bytes) -> Pixels:

@@ -80,10 +80,10 @@ def test_what_the_image_speaks_against_needs_a_reason() -> None:
         state = state_of(scene, tried, np.array(score))
         _, joints = placed(scene, state, scene.T_camera_object[None])
         np.testing.assert_array_equal(joints[scene.hand.fingers[0].joints], tried[0])
-    # If reaching for the object costs more than the gap, the finger stays.
-    stubborn = replace(CONFIG, finger_elsewhere=1.0)
-    state = state_of(scene, tried, np.ones(2))
-    _, joints = placed(scene, state, scene.T_camera_object[None], stubborn)
+    # If the image speaks against reaching for the object more than the gap costs, it stays.
+    tried[0] = state.joint_vector[scene.hand.fingers[0].joints]
+    state = state_of(scene, tried, np.array([1.0, 0.0]))
+    _, joints = placed(scene, state, scene.T_camera_object[None])
     np.testing.assert_array_equal(joints, state.joint_vector)
 
 

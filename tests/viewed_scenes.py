@@ -42,15 +42,20 @@ def hidden_analysis() -> Analysis:
     return analyst().analyse(ViewedFrame.of_dataset(replace(frame, depth=depth)), scene.obj)
 
 
-def viewed(scene: Scene, name: str) -> ViewedFrame:
-    return ViewedFrame.of_dataset(frame_of_scene(scene, name))
+def viewed(scene: Scene, name: str, step: int = 1) -> ViewedFrame:
+    """A scene as a frame, of every `step`-th pixel along either side."""
+    frame = frame_of_scene(scene, name)
+    every = slice(None, None, step)
+    truth = replace(frame.truth, label=frame.truth.label[every, every])
+    camera, depth = frame.camera.subsampled(step), frame.depth[every, every]
+    return ViewedFrame.of_dataset(replace(frame, camera=camera, depth=depth, truth=truth))
 
 
 class SceneSource:
     """Scenes as a source; the one called "broken" cannot be read."""
 
-    def __init__(self, scenes: dict[str, Scene]) -> None:
-        self._scenes = scenes
+    def __init__(self, scenes: dict[str, Scene], step: int = 1) -> None:
+        self._scenes, self._step = scenes, step
         self.reads: list[str] = []
 
     @property
@@ -71,7 +76,7 @@ class SceneSource:
         if name == "broken":
             raise InputError("the file is cut short")
         scene = self._scenes[name]
-        return viewed(scene, name), scene.obj
+        return viewed(scene, name, self._step), scene.obj
 
 
 @cache

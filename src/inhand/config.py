@@ -120,7 +120,7 @@ class HandStateConfig(Section):
     """`swarm`: the paper's particle swarm on Alg. 1; `visibility`: projective search, then a
     joint Gauss-Newton over wrist and fingers."""
     samples: int = 2000
-    """Configurations tried per finger."""
+    """Configurations tried per finger, rounded down to a power of two."""
     shortlist: int = 512
     """The best of these that are tried once more beside the other fingers."""
     alternatives: int = 6
@@ -441,8 +441,6 @@ class SelectionConfig(Section):
     """`likelihood`: surface samples of a finger link that are held against the object for it."""
     finger_visibility: NonNegative = 0.5
     """`likelihood`: weight of a configuration's visibility score in it."""
-    finger_elsewhere: NonNegative = 0.2
-    """`likelihood`: what it costs at least to place a finger elsewhere than the image does."""
     merge_distance: NonNegative = 0.001
     """Poses whose surfaces are nearer on average are one [m]."""
     rival_distance: float = 0.004

@@ -39,7 +39,7 @@ def place_hidden_fingers(
             continue
         tried = np.concatenate([state.joint_vector[None, finger.joints], allowed.joints])
         doubt = config.finger_visibility * (allowed.score[0] - allowed.score)
-        doubt = np.concatenate([[0.0], doubt + config.finger_elsewhere])
+        doubt = np.concatenate([[0.0], doubt])
         clearance = _clearances(ranked.T_camera_object[:n], obj, finger, tried, evidence, config)
         apart = gap_cost(clearance, evidence.config) / len(hand.fingers)
         cost = doubt + penetration_cost(-clearance, evidence.config) + apart

@@ -54,7 +54,7 @@ AIM = 0.02
 choice of ours, so that the hand is not always in the middle."""
 NEAREST = 0.1
 """No surface may be closer to the camera than this [m]."""
-GRASPS, VIEWS = 30, 40
+GRASPS, VIEWS = 100, 40
 """Grasps tried before giving up, and views of each."""
 FIRST_LOOK = 4
 """Views are judged by every so many pixels before they are rendered whole."""

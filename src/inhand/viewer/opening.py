@@ -114,12 +114,20 @@ def open_datasets(
             )
     files = find_frames(paths)
     meshes = objects or need_objects(paths[0])
-    if hand is None and read_frame(files[0]).wrist is None:
+    if hand is None and _is_without_hand(files[0]):
         return Opened(
             DatasetFrames(files, builtin_hand(), meshes)
         )  # any hand will do: none is seen
     model = Hand.from_urdf(hand or need_hand(paths[0]), package_paths)
     return Opened(DatasetFrames(files, model, meshes))
+
+
+def _is_without_hand(file: Path) -> bool:
+    """Whether a frame's data set says nothing about a hand."""
+    try:
+        return read_frame(file).wrist is None
+    except InputError:  # this one is broken: what it says is told when it is looked at
+        return False
 
 
 def open_results(path: Path, package_paths: PackagePaths) -> Opened:
