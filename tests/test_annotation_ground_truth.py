@@ -9,9 +9,11 @@ import pytest
 from labelling_data import hand_files, objects_of, true_label, write_folder
 
 from inhand.annotation import ground_truth
-from inhand.annotation.ground_truth import ImageMaker, write_ground_truth
+from inhand.annotation import objects as sources
+from inhand.annotation.ground_truth import ImageMaker, LabelledHand, write_ground_truth
 from inhand.annotation.images import ImageFile, RawImage, find_images
 from inhand.annotation.session import Session
+from inhand.annotation.workbench import Workbench
 from inhand.cli import main
 from inhand.datasets.bop import read_image
 from inhand.datasets.frames import find_frames, find_hand, find_objects, load_object, read_frame
@@ -100,6 +102,29 @@ def test_it_says_where_the_images_came_from(dataset: Path) -> None:
         "test",
         "test_targets_bop19.json",
     ]
+
+
+def test_it_can_be_labelled_anew(dataset: Path, tmp_path: Path, scenes: list[Scene]) -> None:
+    """A BOP data set goes in, with its own hand and models, and its numbers come out."""
+    urdf = find_hand(dataset, "none.urdf")
+    assert urdf is not None
+    hand = LabelledHand(Hand.from_urdf(urdf), urdf)
+    bench = Workbench(find_images(dataset), hand, sources.find_objects(dataset), tmp_path / "out")
+    for number in CLEAN[:2]:
+        assert bench.label.object_name == scenes[number].obj.name
+        bench.propose()
+        bench.mark("labelled")
+    assert bench.write() == 2
+    for path in find_frames([tmp_path / "out"]):
+        again = read_frame(path)
+        first = read_frame(dataset / path.relative_to(tmp_path / "out"))
+        assert again.object_name == first.object_name
+        np.testing.assert_array_equal(again.depth, first.depth)
+        np.testing.assert_array_equal(again.T_camera_hand_given, first.T_camera_hand_given)
+        metric = ObjectMetric(builtin_object(again.object_name))
+        error = metric.pose_error(again.truth.T_camera_object, first.truth.T_camera_object)
+        assert error.translation < 0.001
+        assert np.degrees(error.rotation) < 1
 
 
 def test_inhand_bench_runs_on_it(dataset: Path, tmp_path: Path) -> None:

@@ -10,9 +10,12 @@ from inhand.geometry.se3 import inverse, transform
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 
+FREE = 6.0
+"""A joint with a wider range turns freely [rad]."""
+
 
 def start_label(
-    session: Session,
+    before: Label | None,
     raw: RawImage,
     hand: Hand,
     object_name: str,
@@ -21,37 +24,44 @@ def start_label(
     """The label that the user starts from.
 
     Images often follow each other: the object is held, and the fingers stand, as in the last image
-    before that is labelled. In the first image, the fingers stand in the middle of their ranges and
-    the object is between their tips.
+    before that is labelled. Without one, the fingers stand in the middle of their ranges; the
+    object, if it is another, is between their tips.
 
     Args:
-        session: the labels so far.
+        before: the label of that image, if there is one.
         raw: the image.
         hand: the hand.
-        object_name: name of the object, if no image before says it.
+        object_name: name of the object.
         model: gives the object's model by name.
     """
-    before = _last_labelled(session)
-    given = raw.T_camera_hand
+    T_camera_hand, joints = raw.T_camera_hand, _half_closed(hand)
     if before is not None:
-        T_camera_hand = before.T_camera_hand if given is None else given
-        T_hand_object = inverse(before.T_camera_hand) @ before.T_camera_object
-        T = T_camera_hand @ T_hand_object
-        return Label(before.object_name, T, T_camera_hand, before.joint_positions)
-    T_camera_hand = _in_the_middle(raw, hand) if given is None else given
-    q = np.where(hand.upper - hand.lower > 6, hand.rest, (hand.lower + hand.upper) / 2)
+        joints = dict(before.joint_positions)
+        T_camera_hand = before.T_camera_hand if T_camera_hand is None else T_camera_hand
+        if before.object_name == object_name:
+            T_hand_object = inverse(before.T_camera_hand) @ before.T_camera_object
+            return Label(object_name, T_camera_hand @ T_hand_object, T_camera_hand, joints)
+    if T_camera_hand is None:
+        T_camera_hand = _in_the_middle(raw, hand)
+    between = _between_the_tips(hand, hand.joint_vector(joints))
     T = np.eye(4)
-    between = transform(T_camera_hand, _between_the_tips(hand, q)[None])[0]
-    T[:3, 3] = between - model(object_name).centre
-    joints = dict(zip(hand.joint_names, q.tolist(), strict=True))
+    T[:3, 3] = transform(T_camera_hand, between[None])[0] - model(object_name).centre
     return Label(object_name, T, T_camera_hand, joints)
 
 
-def _last_labelled(session: Session) -> Label | None:
+def last_labelled(session: Session) -> Label | None:
+    """The label of the last image, before the one that is looked at, that is labelled."""
     for image in reversed(session.images[: session.position]):
         if session.status(image) == "labelled":
             return session.labels[image]
     return None
+
+
+def _half_closed(hand: Hand) -> dict[str, float]:
+    """Joint positions in the middle of their ranges; joints that turn freely are at rest."""
+    free = hand.upper - hand.lower > FREE
+    q = np.where(free, hand.rest, (hand.lower + hand.upper) / 2)
+    return dict(zip(hand.joint_names, q.tolist(), strict=True))
 
 
 def _between_the_tips(hand: Hand, q: Array) -> Array:

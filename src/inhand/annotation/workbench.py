@@ -16,7 +16,7 @@ from inhand.annotation.ground_truth import LabelledHand, write_ground_truth
 from inhand.annotation.images import ImageFile, RawImage
 from inhand.annotation.objects import ObjectSource
 from inhand.annotation.session import Label, Session, Status
-from inhand.annotation.start import start_label
+from inhand.annotation.start import last_labelled, start_label
 from inhand.annotation.storage import (
     SESSION_FILE,
     check_fits,
@@ -105,9 +105,11 @@ class Workbench:
         Raises:
             InputError: it has none, and the image cannot be read.
         """
-        return self.session.label or start_label(
-            self.session, self.raw, self.hand.model, self._default_object(), self._model
-        )
+        if self.session.label is not None:
+            return self.session.label
+        before = last_labelled(self.session)
+        name = self._expected_object(before)
+        return start_label(before, self.raw, self.hand.model, name, self._model)
 
     @property
     def joint_vector(self) -> Array:
@@ -284,10 +286,12 @@ class Workbench:
             self.session = session
             self.save()
 
-    def _default_object(self) -> str:
-        """The object that the data set names, or the first one."""
-        named = self.file.object_name or ""
-        return named if named in self.objects else next(iter(self.objects))
+    def _expected_object(self, before: Label | None) -> str:
+        """The object that the data set names, or else that of a label before, or the first one."""
+        named = self.file.object_name
+        if named in self.objects:
+            return str(named)
+        return before.object_name if before is not None else next(iter(self.objects))
 
     def _model(self, name: str) -> ObjectModel:
         return self._tools_for(name).obj
