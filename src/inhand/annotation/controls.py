@@ -13,6 +13,8 @@ from inhand.hand import Hand
 from inhand.kinematics import REVOLUTE
 from inhand.object_model import ObjectModel
 
+LAYERS = ("Cloud", "Hand", "Object")
+"""What can be hidden in the 3D view."""
 STEPS = (1.0, 2.0)
 """Steps of the keys that move and turn the object [mm, degree]."""
 
@@ -135,6 +137,27 @@ class JointControls:
 
     def _position(self, index: int) -> float:
         return float(list(self._sliders.values())[index].value / self._units[index])
+
+
+class LayerControls:
+    """What is to be seen in the 3D view.
+
+    Args:
+        gui: `server.gui` of viser.
+        changed: called when the user wants to see something else.
+        look: called when the user wants to see what the depth camera sees.
+    """
+
+    def __init__(self, gui: Any, changed: Callable[[], None], look: Callable[[], None]) -> None:
+        with gui.add_folder("Show"):
+            self._boxes = {name: gui.add_checkbox(name, True) for name in LAYERS}
+            gui.add_button("Look from the camera").on_click(lambda _: look())
+        for box in self._boxes.values():
+            on_user(box, changed)
+
+    def hidden(self) -> tuple[bool, ...]:
+        """Which of `LAYERS` are not to be seen."""
+        return tuple(not box.value for box in self._boxes.values())
 
 
 def add_keys(gui: Any) -> None:

@@ -47,32 +47,38 @@ class LabelDrawing:
         self._cloud = CloudDrawing(self._view, "cloud")
         self._hand = HandDrawing(self._view, "hand", hand, HAND_COLOUR, OPACITY)
         self._object: tuple[str, ObjectDrawing] | None = None
-        self._image = ""
+        self._drawn = ""
 
     def show(self, image: str, raw: RawImage, label: Label, q: Array, obj: ObjectModel) -> None:
         """Show an image, by its name, with hand and object where its label says."""
-        if image != self._image:
-            self._image = image
+        if image != self._drawn:
             self._draw_cloud(raw, label)
+            self._drawn = image
         self._hand.draw(label.T_camera_hand, q)
-        if self._object is None or self._object[0] != label.object_name:
-            if self._object is not None:
-                self._object[1].remove()
-            drawing = ObjectDrawing(self._view, "object", obj.mesh, OBJECT_COLOUR, OPACITY)
-            self._object = (label.object_name, drawing)
-        self._object[1].draw(label.T_camera_object)
-
-    def hide(self) -> None:
-        """Show nothing."""
-        self._image = ""
-        self._cloud.hide()
-        self._hand.hide()
-        if self._object is not None:
-            self._object[1].hide()
+        self._drawing_of(label.object_name, obj).draw(label.T_camera_object)
 
     def look_from_camera(self) -> None:
         """Show what the depth camera sees."""
         self._view.look_from_camera()
+
+    def hide(self, cloud: bool = True, hand: bool = True, obj: bool = True) -> None:
+        """Show some of it no more, until it is shown again."""
+        if cloud:
+            self._drawn = ""
+            self._cloud.hide()
+        if hand:
+            self._hand.hide()
+        if obj and self._object is not None:
+            self._object[1].hide()
+
+    def _drawing_of(self, name: str, obj: ObjectModel) -> ObjectDrawing:
+        """The object's drawing; that of another one before is removed."""
+        if self._object is None or self._object[0] != name:
+            if self._object is not None:
+                self._object[1].remove()
+            drawing = ObjectDrawing(self._view, "object", obj.mesh, OBJECT_COLOUR, OPACITY)
+            self._object = (name, drawing)
+        return self._object[1]
 
     def _draw_cloud(self, raw: RawImage, label: Label) -> None:
         centre, radius = reach_sphere(self._hand_model, label.T_camera_hand, CLOUD_MARGIN)

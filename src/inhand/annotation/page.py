@@ -10,7 +10,13 @@ from itertools import count
 from typing import Any
 
 from inhand.annotation.commands import Command
-from inhand.annotation.controls import CommandButtons, JointControls, ObjectControls, add_keys
+from inhand.annotation.controls import (
+    CommandButtons,
+    JointControls,
+    LayerControls,
+    ObjectControls,
+    add_keys,
+)
 from inhand.annotation.drawing import LabelDrawing, LabelPictures
 from inhand.annotation.gizmo import Gizmo
 from inhand.annotation.status import ImageStatus, SaveStatus
@@ -49,7 +55,9 @@ class LabellingPage:
             lambda nudge, mm, deg: self._do(lambda: nudge.act(bench, mm, deg)),
         )
         self._joints = JointControls(gui, bench.hand.model, self._bent)
-        gui.add_button("Look from the camera").on_click(lambda _: self._drawing.look_from_camera())
+        self._layers = LayerControls(
+            gui, lambda: self._do(lambda: None), self._drawing.look_from_camera
+        )
         write = gui.add_button("Write the data set", color="teal")
         write.on_click(lambda _: self._do(self._write_data_set))
         add_keys(gui)
@@ -123,6 +131,7 @@ class LabellingPage:
             self._pictures.clear()
             return
         self._drawing.show(bench.file.name, raw, label, q, tools.obj)
+        self._drawing.hide(*self._layers.hidden())
         self._object.show(label, tools.obj)
         self._joints.show(q, moving)
         self._gizmo.show(tools.centred(label.T_camera_object), label.T_camera_hand)
