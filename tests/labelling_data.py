@@ -36,16 +36,17 @@ def write_camera(path: Path, camera: Camera, depth_unit: float = 1e-4) -> None:
 
 def write_folder(folder: Path, scenes: Sequence[Scene], *, rgb: bool = True) -> None:
     """A folder of images with wrist poses, called a, b, ..."""
-    for name in ("depth", "hand_pose", *(["rgb"] if rgb else [])):
+    for name in ("depth", *(["rgb"] if rgb else [])):
         (folder / name).mkdir(parents=True)
+    poses = {}
     write_camera(folder / "camera.json", scenes[0].camera)
     for name, scene in zip("abcdefgh", scenes, strict=False):
         counts = np.rint(scene.depth.astype(float) * 1e4).astype(np.uint16)
         Image.fromarray(counts).save(folder / "depth" / f"{name}.png")
-        pose = {"T_camera_hand": scene.T_camera_hand_given.tolist()}
-        (folder / "hand_pose" / f"{name}.json").write_text(json.dumps(pose))
+        poses[name] = {"T_camera_hand": scene.T_camera_hand_given.tolist()}
         if rgb:
             Image.fromarray(scene.images.rgb).save(folder / "rgb" / f"{name}.png")
+    (folder / "hand_poses.json").write_text(json.dumps(poses))
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:

@@ -70,7 +70,7 @@ def test_without_a_wrist_pose_the_hand_starts_in_the_image(
     tmp_path: Path, scenes: list[Scene]
 ) -> None:
     bench = workbench(tmp_path, scenes[:1])
-    (tmp_path / "images" / "hand_pose" / "a.json").unlink()
+    (tmp_path / "images" / "hand_poses.json").unlink()
     bench = workbench(tmp_path, scenes[:1])
     centre, radius = bench.hand.model.reach
     x, y, z = transform(bench.label.T_camera_hand, centre[None])[0]

@@ -1,6 +1,11 @@
 """What `inhand view` takes, and what it says about what it does not take."""
 
 import json
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -205,3 +210,17 @@ def test_bad_arguments_end_with_a_line(
     error = capsys.readouterr().err
     assert problem in error
     assert error.count("\n") == 1
+
+
+def test_it_serves_until_it_is_interrupted() -> None:
+    code = "import sys; from inhand.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, "view", "--port", "0", "--device", "cpu"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        line = next(line for line in program.stdout if line.startswith("Open "))
+        where = line.split()[1]
+        assert urllib.request.urlopen(where, timeout=30).status == 200
+        program.send_signal(signal.SIGINT)
+        assert program.wait(30) == 0
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(where, timeout=10)

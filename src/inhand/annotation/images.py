@@ -4,13 +4,13 @@ Three layouts are known by their files:
 
 - BOP's, with or without ground truth: scenes with `scene_camera.json` and `depth/`. What an
   estimator may be told of the wrist is `T_camera_hand_given` in `scene_hand.json`, if it is there.
-- A folder with `camera.json` (as for `inhand estimate`), `depth/NAME.png` (or .tif, .exr, .npy)
-  and, where there are any, `rgb/NAME.png` and `hand_pose/NAME.json`, or one `hand_pose.json` for
-  all images. A single image may lie in the folder itself: `depth.png`, `rgb.png`.
+- A folder of images as `inhand run` takes it (see `streams.folder`): `camera.json`,
+  `depth/NAME.png` (or .tif, .exr, .npy), `hand_poses.json` or `hand_pose.json`; with `rgb/NAME.png`,
+  where there is one. Wrist poses may be missing. A single image may be called `depth.png`, beside
+  `rgb.png`.
 - Folders of `.npz` frames (see `datasets.npz`); of their truth, only the object's name is read.
 """
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -26,8 +26,9 @@ from inhand.datasets.exact import read_json, rigid
 from inhand.datasets.frames import find_frames, frame_name, object_name, read_frame
 from inhand.errors import InputError
 from inhand.io import read_colour, read_depth, read_transform
+from inhand.streams.folder import POSE, POSES, SUFFIXES, UNKNOWN, Entry, read_poses
+from inhand.streams.folder import find_images as find_depth_images
 
-DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy")
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -147,37 +148,33 @@ def _read_scene_image(files: bop.SceneFiles, number: int) -> RawImage:
 
 def _folder_images(folder: Path) -> list[ImageFile]:
     camera = Camera.from_json(folder / "camera.json")
-    if (folder / "depth").is_dir():
-        files = sorted(
-            f for f in (folder / "depth").iterdir() if f.suffix.lower() in DEPTH_SUFFIXES
-        )
-        if doubled := [name for name, n in Counter(f.stem for f in files).items() if n > 1]:
-            raise InputError(f"{folder / 'depth'} holds two images called {doubled[0]}")
-        return [
-            ImageFile(f.stem, 1, number, partial(_read_folder_image, folder, f, f.stem, camera))
-            for number, f in enumerate(files)
-        ]
-    single = [folder / f"depth{suffix}" for suffix in DEPTH_SUFFIXES]
+    single = [path for s in SUFFIXES if (path := folder / f"depth{s}").is_file()]
+    images = single[:1] or find_depth_images(folder)
+    poses = read_poses(folder / POSES) if (folder / POSES).is_file() else {}
+    for_all = read_transform(folder / POSE) if (folder / POSE).is_file() else None
     return [
-        ImageFile(folder.resolve().name, 1, 0, partial(_read_folder_image, folder, f, "", camera))
-        for f in single
-        if f.is_file()
-    ][:1]
-
-
-def _read_folder_image(folder: Path, depth: Path, name: str, camera: Camera) -> RawImage:
-    """An image of a folder; `name` is empty for the single one in the folder itself."""
-    colours = [
-        folder / "rgb" / f"{name}{s}" if name else folder / f"rgb{s}" for s in COLOUR_SUFFIXES
+        ImageFile(
+            image.stem,
+            1,
+            number,
+            partial(_read_folder_image, image, camera, poses.get(image.stem, UNKNOWN), for_all),
+        )
+        for number, image in enumerate(images)
     ]
+
+
+def _read_folder_image(
+    depth: Path, camera: Camera, entry: Entry, for_all: NDArray[np.float64] | None
+) -> RawImage:
+    folder = depth.parent.parent if depth.parent.name == "depth" else depth.parent
+    stems = [folder / "rgb" / depth.stem, *([folder / "rgb"] if depth.stem == "depth" else [])]
+    colours = [stem.with_name(stem.name + suffix) for stem in stems for suffix in COLOUR_SUFFIXES]
     colour = next((path for path in colours if path.is_file()), None)
-    poses = [folder / "hand_pose" / f"{name}.json", folder / "hand_pose.json"]
-    pose = next((path for path in poses if path.is_file()), None)
     return RawImage(
         read_depth(depth, camera),
         camera,
         None if colour is None else read_colour(colour, camera),
-        None if pose is None else read_transform(pose),
+        for_all if entry.T_camera_hand is None else entry.T_camera_hand,
     )
 
 

@@ -25,8 +25,8 @@ class Annotate:
     """
 
     images: Annotated[Path, tyro.conf.Positional]
-    """A folder with camera.json, depth/NAME.png and, if there are, rgb/NAME.png and hand_pose.json;
-    or a BOP data set with or without ground truth; or a folder of .npz frames."""
+    """A folder of images as for `inhand run`, with rgb/NAME.png where there is one; or a BOP data
+    set with or without ground truth; or a folder of .npz frames."""
     out: Path
     """Folder of the labels and of the data set that is made of them."""
     hand: Path | None = None

@@ -10,7 +10,7 @@ DATASET/
     rgb/000003.png
     mask/000003_000000.png           whole silhouette of the object within the image
     mask_visib/000003_000000.png     visible part of it
-    scene_camera.json          intrinsics and depth_scale by image
+    scene_camera.json          intrinsics and depth_scale by image; in a sequence, `time` [s]
     scene_gt.json              object poses [mm] by image
     scene_gt_info.json         boxes, pixel counts and visible share by image
     scene_hand.json            the hand: the file that BOP does not have
@@ -132,6 +132,8 @@ class BopImage:
     """The hand, if there is one."""
     segmentation: NDArray[np.uint8] | None = field(default=None, repr=False)
     """What every pixel shows, shape (H, W): values as in `scene_hand.json`."""
+    time: float | None = None
+    """When it was taken [s], in a sequence."""
 
 
 @dataclass(frozen=True)
@@ -199,6 +201,7 @@ def read_image(scene: Path, image_id: int) -> BopImage:
         rgb=read_rgb(scene, image_id, camera),
         hand=_read_hand(files, image_id),
         segmentation=_read_segmentation(scene, image_id, camera),
+        time=_read_time(files, image_id),
     )
 
 
@@ -291,6 +294,7 @@ def read_frame(path: Path, name: str) -> Frame:
             visible_share=instance.visible_share,
         ),
         rgb=read_rgb(scene, image_id, camera),
+        time=_read_time(files, image_id),
     )
 
 
@@ -399,6 +403,15 @@ def read_camera(files: SceneFiles, image_id: int) -> Camera:
         return Camera.from_matrix(K, width=width, height=height, depth_unit=unit)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"image {image_id} in {path}: {error!s}") from error
+
+
+def _read_time(files: SceneFiles, image_id: int) -> float | None:
+    path = files.folder / CAMERA
+    time = _entry(files.camera, image_id, path).get("time")
+    try:
+        return None if time is None else float(time)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"image {image_id} in {path}: time must be in seconds: {error}") from error
 
 
 def _read_instance(files: SceneFiles, image_id: int, index: int, camera: Camera) -> Instance:

@@ -18,10 +18,13 @@ from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.overlay import ModelRenderer, Placement, Window
 from inhand.stages.evidence import gather_evidence, score_with_contact
+from inhand.viewer.drawing import reach_sphere
 from inhand.viewer.frames import ViewedFrame
 from inhand.viewer.silhouettes import Pictures
 from inhand.viewer.stages import StageView, stage_views
 
+REACH_MARGIN = 0.05
+"""Shown around the hand's reach and half the object [m]."""
 ALONE = 0.25
 """Radius [m] of what is shown around an object whose hand is unknown."""
 
@@ -60,9 +63,8 @@ class Analysis:
         """Centre [m], camera frame, and radius [m] of what is worth looking at."""
         hand = self.tools.estimator.hand.hand
         if self.frame.T_camera_hand is not None:
-            centre, radius = hand.reach
-            middle = transform(self.frame.T_camera_hand, centre[None])[0]
-            return middle, radius + 0.05 + self.obj.diameter / 2
+            margin = REACH_MARGIN + self.obj.diameter / 2
+            return reach_sphere(hand, self.frame.T_camera_hand, margin)
         if self.truth is not None and self.truth.T_camera_object is not None:
             return transform(self.truth.T_camera_object, self.obj.centre[None])[0], ALONE
         return np.array([0, 0, 0.5]), np.inf

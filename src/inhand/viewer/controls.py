@@ -9,6 +9,7 @@ from inhand.viewer.stages import STAGES, StageView
 CloudKind = Literal["by stage", "as the camera sees it", "by residual"]
 LAYERS = ("Cloud", "Hand", "Object", "All poses", "True object", "True hand", "Camera")
 """What can be shown or hidden."""
+OF_TRUTH = ("True object", "True hand")
 HIDDEN = ("True hand", "Camera")
 """What is hidden at first."""
 
@@ -46,6 +47,8 @@ class StageControls:
 
     def turn(self, step: int) -> None:
         """Go on by some stages, as far as there are any."""
+        if len(self._stages) < 2:
+            return
         self._stage.value = min(max(self._stage.value + step, 1), len(STAGES))
         self._stage_chosen()
 
@@ -64,8 +67,9 @@ class StageControls:
         self._about.content = text
 
     def _stage_chosen(self) -> None:
-        self._offer_poses()
-        self._changed()
+        if self._stages:  # the first frame is there
+            self._offer_poses()
+            self._changed()
 
     def _offer_poses(self) -> None:
         stage = self.stage
@@ -92,6 +96,11 @@ class LayerControls:
             self._boxes = {name: gui.add_checkbox(name, name not in HIDDEN) for name in LAYERS}
         for handle in (self._cloud, *self._boxes.values()):
             on_user(handle, changed)
+
+    def offer(self, analysis: Analysis) -> None:
+        """Offer what there is of a frame: without ground truth, nothing of that."""
+        for name in OF_TRUTH:
+            self._boxes[name].visible = analysis.truth is not None
 
     @property
     def cloud(self) -> CloudKind:

@@ -160,7 +160,6 @@ class ObjectDrawing:
         mesh: its mesh, in its own frame [m].
         colour: red, green, blue, 0 to 255.
         opacity: 0 to 1, None for solid.
-        wireframe: draw edges instead of faces.
         axes: length of its axes [m], 0 for none.
         centre: where they are drawn [m], in its own frame, shape (3,); its origin may lie outside.
     """
@@ -173,7 +172,6 @@ class ObjectDrawing:
         colour: Colour,
         opacity: float | None = None,
         *,
-        wireframe: bool = False,
         axes: float = 0.0,
         centre: Array | None = None,
     ) -> None:
@@ -187,9 +185,7 @@ class ObjectDrawing:
                 origin_radius=axes / 60,
                 position=np.zeros(3) if centre is None else centre,
             )
-        self._mesh = _add_mesh(
-            self._server, f"{CAMERA}/{name}/mesh", mesh, colour, opacity, wireframe
-        )
+        self._mesh = _add_mesh(self._server, f"{CAMERA}/{name}/mesh", mesh, colour, opacity)
 
     def draw(self, T_camera_object: Array) -> None:
         """Show it at a pose, shape (4, 4)."""
@@ -305,7 +301,6 @@ def _add_mesh(
     mesh: TriangleMesh,
     colour: Colour,
     opacity: float | None,
-    wireframe: bool = False,
 ) -> Any:
     return server.scene.add_mesh_simple(
         name,
@@ -313,8 +308,7 @@ def _add_mesh(
         mesh.faces.astype(np.uint32),
         color=colour,
         opacity=opacity,
-        wireframe=wireframe,
-        flat_shading=not wireframe,
+        flat_shading=True,
         side="double",
         cast_shadow=False,
         receive_shadow=False,

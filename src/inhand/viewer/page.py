@@ -59,6 +59,7 @@ class Page:
         """Show an analysis; to be called by the worker."""
         self._analysis = analysis
         self.stages.show(analysis)
+        self._layers.offer(analysis)
         self._status.content = _status(analysis)
         self._start_adjusting()
         self._draw_scene()

@@ -86,6 +86,7 @@ class Pictures:
         self.models, self.depth, self.camera, self.window = models, depth, camera, window
         self._size = size
         self._last: dict[Camera, tuple[Placement, Rendering]] = {}
+        self._truth: tuple[Placement | None, NDArray[np.bool_] | None] = (None, None)
         self._enlarged_camera = window.camera(camera, size)
         background = grey_depth(depth, window.cut(depth, 0.0)) if colour is None else colour
         self._background = window.cut(background, OUTSIDE, size)
@@ -94,9 +95,7 @@ class Pictures:
         """Hand and object outlined, and the true object if it is given, (size, size, 3)."""
         drawn = draw_outlines(self._background, self._render(self._enlarged_camera, placement))
         if truth is not None:
-            alone = replace(truth, T_camera_hand=None)
-            of_truth = self.models.render(self._enlarged_camera, alone)
-            drawn[outline(of_truth.silhouette)] = TRUE_COLOUR
+            drawn[self._true_outline(truth)] = TRUE_COLOUR
         return drawn
 
     def residuals(self, placement: Placement) -> tuple[Pixels, Residuals]:
@@ -110,6 +109,15 @@ class Pictures:
     def rendering(self, placement: Placement) -> Rendering:
         """Hand and object as the camera of the image sees them."""
         return self._render(self.camera, placement)
+
+    def _true_outline(self, truth: Placement) -> NDArray[np.bool_]:
+        """Outline of the object where it truly is, shape (size, size); the last one is kept."""
+        last, mask = self._truth
+        if mask is None or last is not truth:
+            alone = replace(truth, T_camera_hand=None)
+            mask = outline(self.models.render(self._enlarged_camera, alone).silhouette)
+            self._truth = truth, mask
+        return mask
 
     def _render(self, camera: Camera, placement: Placement) -> Rendering:
         """A rendering; the last one by every camera is kept, as several pictures need it."""
