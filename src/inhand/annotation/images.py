@@ -5,9 +5,9 @@ Three layouts are known by their files:
 - BOP's, with or without ground truth: scenes with `scene_camera.json` and `depth/`. What an
   estimator may be told of the wrist is `T_camera_hand_given` in `scene_hand.json`, if it is there.
 - A folder of images as `inhand run` takes it (see `streams.folder`): `camera.json`,
-  `depth/NAME.png` (or .tif, .exr, .npy), `hand_poses.json` or `hand_pose.json`; with `rgb/NAME.png`,
-  where there is one. Wrist poses may be missing. A single image may be called `depth.png`, beside
-  `rgb.png`.
+  `depth/NAME.png` (or .tif, .exr, .npy), `hand_poses.json` or `hand_pose.json`; with
+  `rgb/NAME.png`, where there is one. Wrist poses may be missing. A single image may be called
+  `depth.png`, beside `rgb.png`.
 - Folders of `.npz` frames (see `datasets.npz`); of their truth, only the object's name is read.
 """
 
