@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from inhand.estimator import PoseEstimator
     from inhand.hand import Hand
     from inhand.object_model import ObjectModel, Symmetry
+    from inhand.tracking.config import TrackerConfig
+    from inhand.tracking.tracker import PoseTracker
 
 __version__ = "0.1.0"
 
@@ -26,7 +28,9 @@ __all__ = [
     "ObjectModel",
     "PoseEstimate",
     "PoseEstimator",
+    "PoseTracker",
     "Symmetry",
+    "TrackerConfig",
 ]
 
 _HOME_OF = {
@@ -38,7 +42,9 @@ _HOME_OF = {
     "ObjectModel": "object_model",
     "PoseEstimate": "estimate",
     "PoseEstimator": "estimator",
+    "PoseTracker": "tracking.tracker",
     "Symmetry": "object_model",
+    "TrackerConfig": "tracking.config",
 }
 
 

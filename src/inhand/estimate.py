@@ -36,3 +36,6 @@ class PoseEstimate:
     """Ranked alternatives; the first is the answer."""
     timings: dict[str, float] = field(default_factory=dict)
     """Wall-clock time of every stage [s]."""
+    covariance: NDArray[np.float64] | None = None
+    """Of `T_camera_object`, shape (6, 6): rotation vector [rad], then translation [m], of the
+    object's frame about its own origin, camera axes. From a tracker; None from the estimator."""

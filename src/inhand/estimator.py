@@ -103,7 +103,7 @@ class PoseEstimator:
         """As `estimate`, with what every stage returned (for diagnosis)."""
         image = check_depth(depth, camera)
         T = check_wrist(T_camera_hand)
-        clock = _Clock()
+        clock = Clock()
         results = StageResults()
         try:
             stages = self._stages(image, camera, T, clock)
@@ -114,7 +114,7 @@ class PoseEstimator:
         return self._answer(results, clock), results
 
     def _stages(
-        self, depth: NDArray[np.float32], camera: Camera, T: Any, clock: "_Clock"
+        self, depth: NDArray[np.float32], camera: Camera, T: Any, clock: "Clock"
     ) -> Iterator[StageResults]:
         """Run the stages one after the other, yielding the results so far after each."""
         c, hand, obj, r = self.config, self.hand, self.object, StageResults()
@@ -162,7 +162,7 @@ class PoseEstimator:
         )  # fmt: skip
         yield replace(r, selection=selection)
 
-    def _answer(self, results: StageResults, clock: "_Clock") -> PoseEstimate:
+    def _answer(self, results: StageResults, clock: "Clock") -> PoseEstimate:
         selection, state = results.selection, results.hand_state
         if selection is None or state is None or not len(selection.poses):
             return self._no_answer("no pose of the object agrees with the image", results, clock)
@@ -181,7 +181,7 @@ class PoseEstimator:
             timings=clock.seconds,
         )
 
-    def _no_answer(self, reason: str, results: StageResults, clock: "_Clock") -> PoseEstimate:
+    def _no_answer(self, reason: str, results: StageResults, clock: "Clock") -> PoseEstimate:
         state = results.hand_state
         return PoseEstimate(
             found=False,
@@ -245,13 +245,14 @@ def check_wrist(T_camera_hand: Any) -> NDArray[np.float64]:
     return T
 
 
-class _Clock:
+class Clock:
     """Measures the stages."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     def time(self, stage: str, function: Callable[..., Result], *args: Any) -> Result:
+        """What `function` returns; its time is noted."""
         start = time.perf_counter()
         try:
             return function(*args)

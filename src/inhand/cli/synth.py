@@ -26,6 +26,7 @@ class Synth:
     By default the paper's: the built-in hand in blue and in white, six built-in objects, 1000
     images of each pair, seen from 648 viewpoints at 0.3 to 0.9 m. A run that was stopped goes on
     with the same command.
+    With --sequence, every scene is one sequence of images with time stamps.
     """
 
     out: Annotated[Path, tyro.conf.Positional]
@@ -42,6 +43,13 @@ class Synth:
     """Colours of the hand."""
     number: int = 1000
     """Images of every object and colour."""
+    sequence: bool = False
+    """Make every scene one sequence of that many images: hand and object move, occluders pass."""
+    rate: float = 30.0
+    """Images a second of a sequence."""
+    rest: float = 0.35
+    """Share of the legs of a sequence's motion that are a rest; with 1 nothing moves but what
+    passes in front."""
     seed: int = 0
     """Seed of everything random."""
     camera: Path | None = None
@@ -104,6 +112,7 @@ def run(args: Synth) -> int:
 def _plan(args: Synth) -> "Plan":
     from inhand.camera import Camera
     from inhand.synth.dataset import Plan
+    from inhand.synth.motion import MotionProtocol
     from inhand.synth.scene import SceneProtocol
     from inhand.synth.sensor import SENSORS
 
@@ -126,6 +135,7 @@ def _plan(args: Synth) -> "Plan":
             clutter=args.clutter,
         ),
         visible=args.visible,
+        motion=MotionProtocol(rate=args.rate, rest=args.rest) if args.sequence else None,
     )
 
 

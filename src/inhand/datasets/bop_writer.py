@@ -61,7 +61,7 @@ def write_image(scene: Path, image_id: int, image: BopImage) -> None:
         write_whole(scene / f"{name}.png", _png(pixels))
     share = {
         "files": sorted(files),
-        CAMERA: _camera_text(image.camera),
+        CAMERA: _camera_text(image),
         TRUTH: f"[{', '.join(map(_truth_text, image.instances))}]",
         INFO: json.dumps([_pixel_counts(i, image.depth) for i in image.instances]),
     }
@@ -151,8 +151,11 @@ def _png(pixels: NDArray[Any]) -> bytes:
     return buffer.getvalue()
 
 
-def _camera_text(camera: Camera) -> str:
-    return json.dumps({"cam_K": camera.matrix.ravel().tolist(), "depth_scale": 1000 * DEPTH_UNIT})
+def _camera_text(image: BopImage) -> str:
+    fields = {"cam_K": image.camera.matrix.ravel().tolist(), "depth_scale": 1000 * DEPTH_UNIT}
+    if image.time is not None:
+        fields["time"] = image.time
+    return json.dumps(fields)
 
 
 def _truth_text(instance: Instance) -> str:

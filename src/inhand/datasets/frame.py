@@ -58,6 +58,8 @@ class Frame:
     """What the estimator must find."""
     rgb: NDArray[np.uint8] | None = None
     """Colour image with the same pixels, shape (H, W, 3), if there is one."""
+    time: float | None = None
+    """When the image was taken [s], if it is one of a sequence."""
 
     @property
     def T_camera_hand_given(self) -> NDArray[np.float64]:

@@ -1,13 +1,14 @@
 """A whole data set in BOP's layout: its plan, and making it image by image.
 
-One scene for every object and hand colour. Every image is drawn from its own seed (that of the
-plan, the scene's and the image's number), so the data set does not depend on the order in which its
-images are made, on how many processes make them, or on how often the work was stopped.
+One scene for every object and hand colour: single images, or one sequence of images. Every image
+is drawn from its own seed (that of the plan, the scene's and the image's number), and a sequence's
+motion from the scene's, so the data set does not depend on the order in which its images are made,
+on how many processes make them, or on how often the work was stopped.
 """
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from inhand.errors import InputError
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.synth.demo import CAMERA
+from inhand.synth.motion import MotionProtocol
 from inhand.synth.renderer import BACKGROUND_BODY, OBJECT_BODY
 from inhand.synth.scene import (
     HAND_COLOURS,
@@ -42,9 +44,12 @@ from inhand.synth.scene import (
     SceneMaker,
     SceneProtocol,
 )
+from inhand.synth.sequence import SequenceMaker
 
 PLAN = "synth.json"
 """File in the data set's folder that holds its plan."""
+MOTION = (0, 1)
+"""What the seed of a sequence's motion ends with; those of images end with one number."""
 FARTHEST = 4.0
 """Largest distance of the camera [m]: depth images of 16 bits in steps of 0.1 mm end at 6.5 m."""
 
@@ -78,12 +83,17 @@ class Plan:
     protocol: SceneProtocol = field(default_factory=SceneProtocol)
     """What the scenes are drawn from; of its `visible`, see the next."""
     visible: tuple[float, ...] = (0.05, 1.0)
-    """Edges of ranges of the object's visible share. Images take the ranges in turn."""
+    """Edges of ranges of the object's visible share. Images take the ranges in turn; a sequence's
+    first image lies within all of them together."""
+    motion: MotionProtocol | None = None
+    """What motions are drawn from if every scene is a sequence; None: single images."""
 
     def __post_init__(self) -> None:
         low, high = self.protocol.distance
         nearest, farthest = self.protocol.backdrop or (0.0, 0.0)
         wrist = (self.protocol.wrist_translation, self.protocol.wrist_rotation)
+        motion = self.motion or MotionProtocol()
+        rate, rest = motion.rate, motion.rest
         edges = np.array(self.visible)
         names = self.object_names
         checks = {
@@ -101,6 +111,8 @@ class Plan:
             <= nearest
             <= farthest
             < np.inf,
+            f"rate must be above 0 and rest a share from 0 to 1, got {rate} and {rest}": rate > 0
+            and 0 <= rest <= 1,
             f"the wrist's errors must not be negative, got {wrist}": all(
                 0 <= sd < np.inf for sd in wrist
             ),
@@ -193,7 +205,7 @@ class Workshop:
         self._folder, self._plan, self._device = folder, plan, device
         self._hand = load_hand(folder, plan)
         self._scene_id = 0
-        self._maker: SceneMaker | None = None
+        self._make: Callable[[int, np.random.Generator], tuple[Scene, float | None]] | None = None
 
     def make(self, scene_id: int, image_id: int) -> None:
         """Make one image and write it.
@@ -203,25 +215,35 @@ class Workshop:
                 file cannot be written.
         """
         plan = self._plan
-        if self._maker is None or self._scene_id != scene_id:
-            self._maker, self._scene_id = self._new_maker(scene_id), scene_id
+        if self._make is None or self._scene_id != scene_id:
+            self._make, self._scene_id = self._scene(scene_id), scene_id
         rng = np.random.default_rng([plan.seed, scene_id, image_id])
-        scene = self._maker.make(rng, plan.visible_range(image_id))
-        image = _annotated(scene, 1 + plan.object_index(scene_id))
+        scene, time = self._make(image_id, rng)
+        image = replace(_annotated(scene, 1 + plan.object_index(scene_id)), time=time)
         write_image(scene_folder(self._folder, scene_id), image_id, image)
 
-    def _new_maker(self, scene_id: int) -> SceneMaker:
+    def _scene(
+        self, scene_id: int
+    ) -> Callable[[int, np.random.Generator], tuple[Scene, float | None]]:
+        """What makes an image of a scene, and its time stamp [s], from its number and errors."""
         plan = self._plan
         index = plan.object_index(scene_id)
-        return SceneMaker(
+        edges = (plan.visible[0], plan.visible[-1])
+        maker = SceneMaker(
             self._hand,
             load_object(plan, index),
             plan.camera,
-            plan.protocol,
+            replace(plan.protocol, visible=edges),
             hand_colour=HAND_COLOURS[plan.colour(scene_id)],
             object_colour=OBJECT_COLOURS[index % len(OBJECT_COLOURS)],
             device=self._device,
         )
+        if plan.motion is None:
+            return lambda i, rng: (maker.make(rng, plan.visible_range(i)), None)
+        sequences = SequenceMaker(maker, plan.motion)
+        rng_of_motion = np.random.default_rng([plan.seed, scene_id, *MOTION])
+        sequence = sequences.plan(plan.number, rng_of_motion)
+        return lambda i, rng: (sequences.render(sequence, i, rng), float(sequence.times[i]))
 
 
 def finish(folder: Path, plan: Plan) -> None:

@@ -6,6 +6,7 @@ stands on 648 viewpoints of spheres around the hand. No physics: any pose in the
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -129,8 +130,20 @@ class Scene:
         return self.images.object_pixels / max(self.silhouette_pixels, 1)
 
 
+class Surroundings(NamedTuple):
+    """What a hand is seen in."""
+
+    lamp: Array
+    """Unit direction to the lamp, camera frame, shape (3,)."""
+    props: Props
+    """What else stands there."""
+
+
 class SceneMaker:
     """Makes random scenes of one hand and object.
+
+    Attributes:
+        grasps: where its grasps come from.
 
     Args:
         hand: the hand.
@@ -155,7 +168,7 @@ class SceneMaker:
     ) -> None:
         self.hand, self.obj, self.camera, self.protocol = hand, obj, camera, protocol
         self._colours = {"hand_colour": hand_colour, "object_colour": object_colour}
-        self._grasps = GraspSampler(hand, obj, device)
+        self.grasps = GraspSampler(hand, obj, device)
         self._renderer = SceneRenderer(hand, obj, device)
         self._viewpoints = viewpoints(protocol.distance)
 
@@ -171,7 +184,7 @@ class SceneMaker:
         """
         visible = visible or self.protocol.visible
         for _ in range(GRASPS):
-            grasp = self._grasps.sample(rng)
+            grasp = self.grasps.sample(rng)
             for viewpoint in rng.permutation(self._viewpoints)[:VIEWS]:
                 T_camera_hand = self._look_from(viewpoint, rng)
                 if self._promises(grasp, T_camera_hand, visible):
@@ -189,16 +202,24 @@ class SceneMaker:
 
         What stands behind the hand, and the light, are drawn from `rng`.
         """
-        T_camera_object = T_camera_hand @ grasp.T_hand_object
-        T_camera_link = T_camera_hand @ self.hand.forward_kinematics(grasp.q)
+        return self.render_in(self.surroundings(T_camera_hand, rng), grasp, T_camera_hand)
+
+    def surroundings(self, T_camera_hand: Array, rng: np.random.Generator) -> Surroundings:
+        """Random light, and what stands behind a hand."""
         lamp = se3.random_rotation(rng)[2]
         lamp[2] = -abs(lamp[2])  # on the camera's side
+        return Surroundings(lamp, self._behind(T_camera_hand, rng))
+
+    def render_in(self, around: Surroundings, grasp: Grasp, T_camera_hand: Array) -> Scene:
+        """As `render`, in given surroundings."""
+        T_camera_object = T_camera_hand @ grasp.T_hand_object
+        T_camera_link = T_camera_hand @ self.hand.forward_kinematics(grasp.q)
         images = self._renderer.render(
             self.camera,
             T_camera_object,
             T_camera_link,
-            self._behind(T_camera_hand, rng),
-            lamp=lamp,
+            around.props,
+            lamp=around.lamp,
             **self._colours,
         )
         return Scene(
@@ -215,6 +236,10 @@ class SceneMaker:
                 self.camera, T_camera_object, images
             ),
         )
+
+    def solid_diameter(self, shape: int) -> float:
+        """Diameter [m] of a solid that may stand around the hand, by its number."""
+        return float(self._renderer.props[shape].diameter)
 
     def _promises(self, grasp: Grasp, T_camera_hand: Array, visible: tuple[float, float]) -> bool:
         """Whether a coarse image of the object's surroundings fits the protocol."""
@@ -264,7 +289,7 @@ class SceneMaker:
 
     def _clutter_pose(self, centre: Array, shape: int, rng: np.random.Generator) -> Array:
         """Pose, (4, 4), of a solid somewhere in the image, wholly behind the hand's reach."""
-        size = float(self._renderer.props[shape].diameter)
+        size = self.solid_diameter(shape)
         z = centre[2] + self.hand.reach[1] + size / 2 + rng.uniform(0, 0.4)
         u, v = rng.uniform([0, 0], [self.camera.width, self.camera.height])
         camera = self.camera
@@ -300,15 +325,22 @@ def make_scene(
     return maker.make(np.random.default_rng(seed))
 
 
-def with_errors(scene: Scene, protocol: SceneProtocol, rng: np.random.Generator) -> Scene:
-    """The scene as the protocol's sensor sees it, its wrist known as well as the protocol says."""
-    return replace(
-        scene,
-        depth=observe(scene.images.depth, scene.camera, protocol.sensor, rng),
-        T_camera_hand_given=perturb_wrist(
+def with_errors(
+    scene: Scene,
+    protocol: SceneProtocol,
+    rng: np.random.Generator,
+    T_camera_hand_given: Array | None = None,
+) -> Scene:
+    """The scene as the protocol's sensor sees it, its wrist known as well as the protocol says.
+
+    A sequence says itself how its wrist is known: `T_camera_hand_given`, shape (4, 4).
+    """
+    depth = observe(scene.images.depth, scene.camera, protocol.sensor, rng)
+    if T_camera_hand_given is None:
+        T_camera_hand_given = perturb_wrist(
             scene.T_camera_hand, protocol.wrist_translation, protocol.wrist_rotation, rng
-        ),
-    )
+        )
+    return replace(scene, depth=depth, T_camera_hand_given=T_camera_hand_given)
 
 
 def viewpoints(distance: tuple[float, float]) -> Array:

@@ -1,0 +1,174 @@
+"""What the tracker computes on the device: which links are seen, the object's points, its fit."""
+
+import warp as wp
+
+from inhand.kernels.bodies import nearest_body
+from inhand.kernels.fields import Fields, field_at
+from inhand.kernels.hand_fit import (
+    TERMS,
+    DepthView,
+    Visibility,
+    add_term,
+    judge_point,
+    pixel_of,
+    redescending,
+)
+from inhand.kernels.object_fit import ObjectEvidence, hand_depth_at
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def link_support(
+    view: DepthView,
+    rule: Visibility,
+    T_camera_link: wp.array(dtype=wp.mat44),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    start: wp.array(dtype=int),
+    most: int,
+    sums: wp.array(dtype=wp.vec3),
+    first: int,
+):
+    """One work item a link: judgements of its camera-facing surface samples.
+
+    Args (beyond the obvious):
+        points, normals: surface samples of all links, link frames.
+        start: first sample of every link, and the end of the last.
+        most: about how many samples of a link are used.
+        sums: out, sums of the judgements, of the area that nothing hides, and of the area.
+    """
+    k = first + wp.tid()
+    T = T_camera_link[k]
+    total = float(0.0)
+    open_area = float(0.0)
+    area = float(1.0e-6)
+    stride = wp.max(1, (start[k + 1] - start[k]) // most)
+    for i in range(start[k], start[k + 1], stride):
+        p = wp.transform_point(T, points[i])
+        n = wp.transform_vector(T, normals[i])
+        facing = -wp.dot(n, p) / wp.length(p)
+        if facing < 0.1:
+            continue
+        area += facing
+        pixel = pixel_of(view.camera, p)
+        if pixel < 0:
+            continue
+        d = view.depth[pixel]
+        if d <= 0.0 or d > p[2] - rule.tolerance:
+            open_area += facing
+        total += facing * judge_point(view, rule, p, n, pixel)
+    sums[k] = wp.vec3(total, open_area, area)
+
+
+@wp.func
+def not_hand(distance: float, none: float, all: float):
+    """Probability that a point at this distance from the hand [m] is not the hand's."""
+    if distance <= none:
+        return 0.0
+    return wp.clamp((distance - none) / (all - none), 0.1, 1.0)
+
+
+@wp.kernel
+def object_weights(
+    points: wp.array(dtype=wp.vec3),
+    links: Fields,
+    spheres: wp.array(dtype=wp.vec4),
+    T_camera_link: wp.array(dtype=wp.mat44),
+    certain: wp.array(dtype=int),
+    uncertain: wp.array(dtype=int),
+    obj: Fields,
+    T_camera_object: wp.mat44,
+    near: float,
+    none: float,
+    all: float,
+    share: float,
+    weight: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a scene point: probability that it is the object's.
+
+    Args (beyond the obvious):
+        certain, uncertain: per link, 1 if the image supports it, and if it does not.
+        T_camera_object: where the object is expected.
+        near: a point farther from it than this is not the object's [m].
+        none, all: distances to the hand up to which a point is the hand's, and from which on it is
+            certainly not [m].
+        share: weight of a point that only an uncertain link explains.
+        weight: out.
+    """
+    i = first + wp.tid()
+    p = points[i]
+    weight[i] = 0.0
+    t = wp.vec3(T_camera_object[0, 3], T_camera_object[1, 3], T_camera_object[2, 3])
+    local = wp.transform_vector(wp.transpose(T_camera_object), p - t)
+    if field_at(obj, 0, local)[0] > near:
+        return
+    to_certain, _g, _k = nearest_body(links, spheres, T_camera_link, 0, certain, 0, p, all)
+    to_uncertain, _h, _l = nearest_body(links, spheres, T_camera_link, 0, uncertain, 0, p, all)
+    doubt = not_hand(wp.min(to_certain, to_uncertain), none, all)
+    weight[i] = not_hand(to_certain, none, all) * (share + (1.0 - share) * doubt)
+
+
+@wp.kernel
+def object_terms(
+    e: ObjectEvidence,
+    T: wp.mat44,
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    n_points: int,
+    fields: Fields,
+    centre: wp.vec3,
+    width: float,
+    segment_stride: int,
+    image_weight: float,
+    n_blocks: int,
+    terms: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a block of points: the sums of `kernels.object_fit.refine_poses` at one pose.
+
+    Args (beyond the obvious):
+        T: pose of the object in the camera.
+        points, normals: model surface samples, object frame; the first `n_points` are used.
+        centre: what rotations are about, object frame [m].
+        width: width of the redescending weight [m].
+        segment_stride: every how many segment points one is used.
+        image_weight: weight of one visible model sample against one segment point.
+        n_blocks: blocks, which take turns in taking points.
+        terms: out, flat (block, TERMS); rotation before translation, camera axes.
+    """
+    block = first + wp.tid()
+    at = block * TERMS
+    for k in range(at, at + TERMS):
+        terms[k] = 0.0
+    pivot = wp.transform_point(T, centre)
+    inverse = wp.transpose(T)
+    t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+    for s in range(block * segment_stride, e.points.shape[0], n_blocks * segment_stride):
+        p = e.points[s]
+        value = field_at(fields, 0, wp.transform_vector(inverse, p - t))
+        g = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+        w = e.weights[s] * redescending(value[0], width) * wp.max(0.0, wp.dot(g, e.normals[s]))
+        if w > 0.0:
+            add_term(terms, at, wp.cross(p - pivot, g), g, value[0], w)
+    for s in range(block, n_points, n_blocks):
+        p = wp.transform_point(T, points[s])
+        n = wp.transform_vector(T, normals[s])
+        facing = -wp.dot(n, p) / wp.length(p)
+        if facing < 0.15:
+            continue
+        pixel = pixel_of(e.view.camera, p)
+        if pixel < 0:
+            continue
+        d = e.view.depth[pixel]
+        if d <= 0.0 or wp.abs(d - p[2]) > width:
+            continue
+        hand = hand_depth_at(e, pixel)
+        if hand > 0.0 and wp.abs(hand - d) < 0.5 * e.near:
+            continue
+        r = (d / p[2] - 1.0) * wp.dot(n, p)
+        w = image_weight * facing * redescending(r, width)
+        w = w * wp.max(0.0, wp.dot(n, e.view.normals[pixel]))
+        if w > 0.0:
+            add_term(terms, at, wp.cross(p - pivot, n), n, r, w)

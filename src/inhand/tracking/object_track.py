@@ -1,0 +1,145 @@
+"""The object in the next image, from where it is expected."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from inhand.errors import NoAnswer
+from inhand.kernels.hand_fit import TERMS
+from inhand.kernels.launch import launch
+from inhand.packed import PackedHand, PackedObject, device_poses
+from inhand.stages.evidence import Evidence, score_with_contact
+from inhand.stages.observation import Observation
+from inhand.stages.refinement import fit_to_field
+from inhand.stages.results import HandState, Segment
+from inhand.tracking.config import TrackerConfig
+from inhand.tracking.gaussian import Array, moved, system_of, twist_between
+from inhand.tracking.kernels import object_terms, object_weights
+from inhand.tracking.track import Track
+
+BLOCKS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedObject:
+    """The object in an image."""
+
+    T_camera_object: Array
+    """Its pose, shape (4, 4)."""
+    covariance: Array
+    """Of its twist about the centre, shape (6, 6)."""
+    innovation: Array
+    """Twist from where it was expected to where the image alone has it, shape (6,)."""
+    score: float
+    """Score of the pose, as in the estimator's selection."""
+
+    def kept_in(self, track: Track, confidence: float, config: TrackerConfig) -> Track:
+        """The track with the object here, right with this probability."""
+        keep = config.object.memory
+        return replace(
+            track,
+            T_camera_object=self.T_camera_object,
+            object_covariance=self.covariance,
+            motion=keep * track.motion + (1 - keep) * self.innovation,
+            confidence=confidence,
+        )
+
+
+def segment_near(
+    observation: Observation,
+    state: HandState,
+    track: Track,
+    hand: PackedHand,
+    obj: PackedObject,
+    config: TrackerConfig,
+) -> Segment:
+    """The object segment: scene points near where the object is expected that are not the hand's.
+
+    Raises:
+        NoAnswer: there are too few.
+    """
+    c, near, device = config.estimator.segmentation, config.object, obj.device
+    weight = wp.empty(len(observation.points), dtype=float, device=device)
+    launch(
+        object_weights,
+        len(weight),
+        [wp.array(observation.points, dtype=wp.vec3, device=device), hand.fields, hand.spheres]
+        + [device_poses(state.T_camera_link, device)]
+        + [
+            wp.array(links.astype(np.int32), device=device)
+            for links in (state.certain, ~state.certain)
+        ]
+        + [obj.fields, _mat44(track.T_camera_object), near.near]
+        + [c.hand_distance, c.certain_distance, c.uncertain_weight, weight],
+        device,
+        work_per_item=10,
+    )
+    weights = weight.numpy()
+    keep = np.flatnonzero(weights > 0)
+    if weights.sum() < near.min_points:
+        raise NoAnswer(
+            f"only {len(keep)} depth readings show the object where it is expected: it is hidden, "
+            "or has left that place"
+        )
+    # How far the points are from the hand matters only to those who draw pairs of them.
+    unused = np.zeros(len(keep), dtype=np.float32)
+    return Segment(observation.points[keep], observation.normals[keep], unused, weights[keep])
+
+
+def follow_object(
+    evidence: Evidence, obj: PackedObject, track: Track, config: TrackerConfig
+) -> FollowedObject:
+    """Refine and score two starts; hold the better to the prediction as firmly as that is known.
+
+    The object starts where it is expected, and where it would be if it went on as of late.
+
+    Args:
+        evidence: the image.
+        obj: the object.
+        track: the track as predicted.
+        config: parameters.
+    """
+    c, centre = config.object, obj.model.centre
+    widths = c.first_width, c.last_width
+    expected = track.T_camera_object
+    starts = np.stack([expected, moved(expected, track.motion, centre)])
+    fitted = fit_to_field(
+        evidence, obj, c.image_weight, starts.astype(np.float32), c.points, c.iterations, widths
+    )
+    score = score_with_contact(evidence, obj, fitted, config.estimator.selection)
+    best = int(np.argmax(score + [c.start_lead, 0.0]))
+    T = fitted[best].astype(np.float64)
+    innovation = twist_between(expected, T, centre)
+    prior = np.linalg.inv(track.object_covariance)
+    A, b = _system(evidence, obj, T, config)
+    H = c.point_information * A + prior
+    way = twist_between(T, expected, centre)
+    step = np.asarray(np.linalg.solve(H, c.point_information * b + prior @ way), dtype=np.float64)
+    T = moved(T, step, centre)
+    return FollowedObject(T, np.linalg.inv(H), innovation, float(score[best]))
+
+
+def _system(
+    evidence: Evidence, obj: PackedObject, T: Array, config: TrackerConfig
+) -> tuple[Array, Array]:
+    """Gauss-Newton system of the image at pose `T`, (6, 6) and (6,)."""
+    c = config.object
+    terms = wp.empty(BLOCKS * TERMS, dtype=float, device=obj.device)
+    n, stride = min(c.points, len(obj.points)), evidence.stride(c.points)
+    launch(
+        object_terms,
+        BLOCKS,
+        [evidence.arrays, _mat44(T)]
+        + [obj.points, obj.normals, n, obj.fields, wp.vec3(*obj.model.centre.tolist())]
+        + [c.last_width, stride, c.image_weight, BLOCKS, terms],
+        obj.device,
+        work_per_item=(c.points + n) // BLOCKS,
+    )
+    return system_of(terms.numpy().reshape(BLOCKS, TERMS).sum(axis=0, dtype=np.float64))
+
+
+def _mat44(T: Array) -> Any:
+    """A pose (4, 4) as a kernel argument."""
+    return wp.mat44(*T.reshape(-1).tolist())

@@ -1,0 +1,212 @@
+"""The tracker: follows hand and object from image to image, and finds them again when lost."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inhand.camera import Camera
+from inhand.checks import finite_number
+from inhand.errors import InputError, NoAnswer
+from inhand.estimate import Candidate, PoseEstimate
+from inhand.estimator import Clock, PoseEstimator, check_depth, check_wrist
+from inhand.hand import Hand
+from inhand.object_model import ObjectModel
+from inhand.stages.clustering import surface_distances_to
+from inhand.stages.evidence import gather_evidence
+from inhand.stages.observation import Observation
+from inhand.stages.results import HandState
+from inhand.tracking.config import TrackerConfig
+from inhand.tracking.finger_search import find_lost_fingers
+from inhand.tracking.gaussian import Array, about_origin
+from inhand.tracking.hand_track import follow_hand
+from inhand.tracking.loss import seen_confidence
+from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
+from inhand.tracking.track import Track, begun, predicted
+from inhand.tracking.view import look_at
+
+
+class PoseTracker:
+    """Follows a known object in a known hand through a sequence of depth images.
+
+    Args:
+        hand: the hand.
+        obj: the object.
+        config: parameters.
+        device: "cpu", "cuda:0", or None for the best there is.
+
+    Raises:
+        InputError: an argument is of the wrong kind, or the device does not exist.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        obj: ObjectModel,
+        config: TrackerConfig | None = None,
+        device: str | None = None,
+    ) -> None:
+        self.config = TrackerConfig() if config is None else config
+        if not isinstance(self.config, TrackerConfig):
+            raise InputError(f"config must be an inhand.TrackerConfig, got {config!r:.80}")
+        self.estimator = PoseEstimator(hand, obj, self.config.estimator, device)
+        self._hand, self._object = self.estimator.hand, self.estimator.object
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all images; the next one starts anew."""
+        self._track: Track | None = None
+        self._rng = np.random.default_rng(self.config.estimator.seed)
+        self._lost = True
+        self._images = 0
+        self._time: float | None = None
+
+    @property
+    def lost(self) -> bool:
+        """Whether the next image is searched all over."""
+        return self._lost
+
+    def update(
+        self, depth: Any, camera: Camera, T_camera_hand: Any, *, time: float | None = None
+    ) -> PoseEstimate:
+        """Pose of the object and state of the hand in the next image.
+
+        Args:
+            depth: z [m], floating point, shape (H, W); 0, NaN and inf mean "no reading".
+            camera: the camera of the image.
+            T_camera_hand: approximate pose of the hand's root link in the camera, (4, 4).
+            time: when the image was taken [s]; by default images come at `config.rate`.
+
+        Raises:
+            InputError: the input is malformed, or `time` is not later than the last image's. An
+                image without an answer is no error: see `PoseEstimate.found`.
+        """
+        image, given = check_depth(depth, camera), check_wrist(T_camera_hand)
+        seconds, clock = self._since_last(time), Clock()
+        self._images += 1
+        if self._track is not None:
+            self._track = predicted(self._track, given, seconds, self._hand.hand, self.config)
+            answer = self._follow(image, camera, self._track, clock)
+            if answer.found:
+                return answer
+        return self._search(image, camera, given, clock)
+
+    def _since_last(self, time: float | None) -> float:
+        """Time since the last image [s]."""
+        if time is None:
+            return 1 / self.config.rate
+        time, last = finite_number(time, "time"), self._time
+        if last is not None and time <= last:
+            raise InputError(
+                f"time must rise from image to image, got {time} after {last}; call reset() before "
+                "another sequence"
+            )
+        self._time = time
+        return 1 / self.config.rate if last is None else time - last
+
+    def _follow(
+        self, image: NDArray[np.float32], camera: Camera, track: Track, clock: Clock
+    ) -> PoseEstimate:
+        """The answer near where hand and object are expected.
+
+        What is found becomes the track. While the tracker is lost, only a sure pose does.
+        """
+        hand, obj, config = self._hand, self._object, self.config
+        try:
+            observation = clock.time(
+                "observation", look_at, image, camera, track, hand, obj, config
+            )
+            if self._images % config.fingers.every == 0:
+                track = clock.time(
+                    "fingers", find_lost_fingers, observation, hand, obj, track, config, self._rng
+                )
+            found_hand = clock.time("hand", follow_hand, observation, hand, track, config)
+            self._track = track = found_hand.kept_in(track)
+            found = clock.time("object", self._follow_object, observation, found_hand.state, track)
+        except NoAnswer as problem:
+            self._lost = True
+            return self._no_answer(str(problem), clock)
+        loss = config.loss
+        expected = loss.again if self._lost else track.confidence
+        if not track.certain.any():  # what hides the hand may have moved the object as well
+            expected = min(expected, loss.again)
+        confidence = seen_confidence(expected, found.score, loss)
+        if confidence < (loss.accept if self._lost else loss.lost):
+            self._lost = True
+            return self._no_answer("the image does not show the object where it is expected", clock)
+        self._lost = False
+        self._track = found.kept_in(track, confidence, config)
+        return self._answer(found.score, clock)
+
+    def _follow_object(
+        self, observation: Observation, state: HandState, track: Track
+    ) -> FollowedObject:
+        c, hand, obj = self.config.estimator, self._hand, self._object
+        segment = segment_near(observation, state, track, hand, obj, self.config)
+        evidence = gather_evidence(observation, state, segment, hand, c.evidence)
+        return follow_object(evidence, obj, track, self.config)
+
+    def _search(
+        self, image: NDArray[np.float32], camera: Camera, given: Array, clock: Clock
+    ) -> PoseEstimate:
+        """The estimator's answer; if it is sure, the track goes on from there."""
+        # Every search draws anew: what one seed does not find, the next may.
+        seed = int(self._rng.integers(2**31))
+        self.estimator.config = replace(self.config.estimator, seed=seed)
+        estimate = self.estimator.estimate(image, camera, given)
+        clock.seconds.update(estimate.timings)
+        if not estimate.found:
+            # Of a hand that is hidden, the track knows more than the estimator.
+            unseen = replace(estimate, timings=clock.seconds)
+            return self._no_answer(estimate.reason, clock) if self._track else unseen
+        if estimate.confidence < self._wanted(estimate):
+            reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
+            return self._no_answer(reason, clock)
+        self._lost = False
+        self._track = begun(estimate, given, self._hand.hand, self.config)
+        return replace(estimate, timings=clock.seconds, covariance=self._covariance())
+
+    def _wanted(self, estimate: PoseEstimate) -> float:
+        """Confidence that an answer of the estimator must have to be taken."""
+        loss, track, T = self.config.loss, self._track, estimate.T_camera_object
+        if track is None or T is None:
+            return loss.accept
+        expected = track.T_camera_object.astype(np.float32)
+        one = T[None].astype(np.float32)
+        apart = surface_distances_to(one, expected, self._object, 2 * loss.elsewhere)[0]
+        return loss.accept if apart < loss.elsewhere else loss.accept_elsewhere
+
+    def _answer(self, score: float, clock: Clock) -> PoseEstimate:
+        track = self._track
+        assert track is not None
+        return PoseEstimate(
+            found=True,
+            reason="",
+            T_camera_object=track.T_camera_object,
+            joint_positions=self._hand.hand.joint_dict(track.joint_vector),
+            T_camera_hand=track.T_camera_hand,
+            confidence=track.confidence,
+            candidates=(Candidate(track.T_camera_object, {"score": score}),),
+            timings=clock.seconds,
+            covariance=self._covariance(),
+        )
+
+    def _no_answer(self, reason: str, clock: Clock) -> PoseEstimate:
+        track = self._track
+        return PoseEstimate(
+            found=False,
+            reason=reason,
+            T_camera_object=None,
+            joint_positions=self._hand.hand.joint_dict(track.joint_vector) if track else {},
+            T_camera_hand=track.T_camera_hand if track else None,
+            confidence=0.0,
+            timings=clock.seconds,
+        )
+
+    def _covariance(self) -> Array:
+        """Covariance of the object's pose as `PoseEstimate` has it, (6, 6)."""
+        track = self._track
+        assert track is not None
+        centre = self._object.model.centre
+        return about_origin(track.object_covariance, track.T_camera_object, centre)

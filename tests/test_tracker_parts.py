@@ -1,0 +1,169 @@
+"""The tracker's own steps, each against the truth or against what the estimator does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from held_object import HeldObject, built_in_hand, held_object
+from scipy.spatial import KDTree
+
+from inhand.config import HandStateConfig
+from inhand.errors import NoAnswer
+from inhand.geometry.se3 import rotation_angle, transform
+from inhand.stages.evidence import gather_evidence
+from inhand.stages.hand_visibility import HandVisibility
+from inhand.tracking.config import TrackerConfig
+from inhand.tracking.finger_search import find_lost_fingers
+from inhand.tracking.gaussian import moved, twist_between
+from inhand.tracking.hand_track import follow_hand
+from inhand.tracking.object_track import follow_object, segment_near
+from inhand.tracking.track import Track, predicted
+
+CONFIG = TrackerConfig()
+SURE = np.diag([0.002] * 3 + [0.0005] * 3) ** 2
+UNSURE = np.diag([0.2] * 3 + [0.02] * 3) ** 2
+
+
+@pytest.fixture(params=["cuboid", "industrial_part"])
+def held(request: pytest.FixtureRequest) -> HeldObject:
+    return held_object(request.param)
+
+
+def track_of(held: HeldObject, covariance: np.ndarray) -> Track:
+    """The truth as a track."""
+    joints = len(held.hand.hand.rest)
+    return Track(
+        given=held.hand_state.T_camera_hand,
+        T_camera_hand=held.hand_state.T_camera_hand,
+        joint_vector=held.hand_state.joint_vector,
+        hand_covariance=np.diag([0.01] * 3 + [0.003] * 3 + [0.1] * joints) ** 2,
+        certain=np.ones(len(held.hand.hand.links), dtype=bool),
+        T_camera_object=held.T_camera_object,
+        object_covariance=covariance,
+        motion=np.zeros(6),
+        confidence=0.9,
+    )
+
+
+def follow(held: HeldObject, track: Track) -> np.ndarray:
+    """The object's pose, followed with the true hand."""
+    args = (held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
+    segment = segment_near(*args)
+    evidence = gather_evidence(
+        held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
+    )
+    return follow_object(evidence, held.obj, track, CONFIG).T_camera_object
+
+
+def test_a_pose_that_is_not_known_is_where_the_image_has_it(held: HeldObject) -> None:
+    rng = np.random.default_rng(0)
+    centre = held.obj.model.centre
+    for _ in range(5):
+        twist = rng.normal(size=6) * ([0.05] * 3 + [0.003] * 3)
+        track = track_of(held, UNSURE)
+        track = replace(track, T_camera_object=moved(held.T_camera_object, twist, centre))
+        T = follow(held, track)
+        place = transform(T, centre[None]) - transform(held.T_camera_object, centre[None])
+        assert np.linalg.norm(place) < 0.0015
+        assert rotation_angle(T[:3, :3], held.T_camera_object[:3, :3]) < np.radians(3)
+
+
+def test_a_pose_that_is_well_known_stays(held: HeldObject) -> None:
+    centre = held.obj.model.centre
+    twist = np.array([0.0, 0.0, 0.0, 0.003, 0.0, 0.0])
+    expected = moved(held.T_camera_object, twist, centre)
+    track = replace(track_of(held, SURE / 100), T_camera_object=expected)
+    assert np.linalg.norm(twist_between(expected, follow(held, track), centre)[3:]) < 0.0005
+
+
+def test_the_segment_is_the_object(held: HeldObject) -> None:
+    segment = segment_near(
+        held.observation, held.hand_state, track_of(held, SURE), held.hand, held.obj, CONFIG
+    )
+    surface = transform(held.T_camera_object, held.obj.model.surface.points)
+    apart = KDTree(surface).query(segment.points)[0]
+    assert np.average(apart < 0.004, weights=segment.weight) > 0.95
+    ours, theirs = segment.weight.sum(), held.segment.weight.sum()
+    assert ours > 0.8 * theirs
+
+
+def test_an_object_that_is_elsewhere_is_said_to_be_hidden(held: HeldObject) -> None:
+    away = moved(held.T_camera_object, np.array([0, 0, 0, 0.3, 0, 0]), held.obj.model.centre)
+    track = replace(track_of(held, SURE), T_camera_object=away)
+    with pytest.raises(NoAnswer, match="hidden"):
+        segment_near(held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
+
+
+def test_the_hand_is_found_from_a_little_off(held: HeldObject) -> None:
+    truth = track_of(held, SURE)
+    off = np.array([0.01, -0.01, 0.01, 0.002, 0.002, -0.001])
+    start = replace(
+        truth,
+        T_camera_hand=moved(truth.T_camera_hand, off, np.zeros(3)),
+        joint_vector=truth.joint_vector + [0.03, -0.03, 0.03, -0.03],
+    )
+    config = replace(CONFIG, hand=replace(CONFIG.hand, iterations=5))
+    found = follow_hand(held.observation, held.hand, start, config)
+    twist = twist_between(truth.T_camera_hand, found.state.T_camera_hand, np.zeros(3))
+    assert np.linalg.norm(twist[:3]) < np.radians(0.6)
+    assert np.linalg.norm(twist[3:]) < 0.001
+    sd = np.sqrt(np.diag(found.covariance))
+    error = np.concatenate([twist, found.state.joint_vector - truth.joint_vector])
+    assert (np.abs(error) < 4 * sd + 1e-3).all()
+
+
+def test_links_count_as_seen_as_the_estimator_counts_them(held: HeldObject) -> None:
+    shared = HandStateConfig(fine_points=10**6)
+    config = replace(CONFIG, estimator=replace(CONFIG.estimator, hand_state=shared))
+    start = replace(track_of(held, SURE), hand_covariance=np.eye(10) * 1e-14)
+    found = follow_hand(held.observation, held.hand, start, config).state
+    visibility = HandVisibility(held.observation, held.hand, shared)
+    for links in held.hand.finger_links:
+        for link in links:
+            score, seen = visibility.score(
+                link, found.joint_vector[None, link.joints], found.T_camera_hand[None]
+            )
+            supported = score[0] > shared.certain_support * max(seen[0], shared.min_seen)
+            assert found.certain[link.links[0]] == supported
+
+
+def test_a_lost_finger_is_found_where_the_image_shows_it() -> None:
+    held = held_object("cuboid")
+    truth = track_of(held, SURE)
+    finger = held.hand.fingers[0]
+    seen = follow_hand(held.observation, held.hand, truth, CONFIG).state.certain[finger.links]
+    assert seen.any(), "the image shows the finger"
+    lost = truth.certain.copy()
+    lost[finger.links] = False
+    q = truth.joint_vector.copy()
+    q[finger.joints] = 0.0
+    track = replace(truth, certain=lost, joint_vector=q)
+    args = (held.observation, held.hand, held.obj, track, CONFIG)
+    found = find_lost_fingers(*args, np.random.default_rng(0))
+    # Near enough for the fit that follows.
+    config = replace(CONFIG, hand=replace(CONFIG.hand, iterations=10, width=0.012))
+    after = follow_hand(held.observation, held.hand, found, config).state.joint_vector
+    wrong = np.abs(after - truth.joint_vector)[finger.joints]
+    assert wrong[0] < np.radians(6)
+    kept = held.hand.fingers[1].joints
+    np.testing.assert_array_equal(found.joint_vector[kept], truth.joint_vector[kept])
+
+
+def test_prediction_carries_hand_and_object_with_the_wrist() -> None:
+    held = held_object("cuboid")
+    truth, hand = track_of(held, SURE), built_in_hand().hand
+    step = np.eye(4)
+    step[:3, :3] = moved(np.eye(4), np.array([0.1, 0.2, -0.1, 0, 0, 0]), np.zeros(3))[:3, :3]
+    step[:3, 3] = [0.01, 0.02, 0.0]
+    after = predicted(truth, step @ truth.given, 0.1, hand, CONFIG)
+    np.testing.assert_allclose(after.T_camera_object, step @ truth.T_camera_object)
+    np.testing.assert_allclose(after.T_camera_hand, step @ truth.T_camera_hand)
+    np.testing.assert_array_equal(after.joint_vector, truth.joint_vector)
+    grown = np.linalg.eigvalsh(after.object_covariance) - np.linalg.eigvalsh(SURE)
+    assert (grown > 0).all()
+    later = predicted(truth, truth.given, 0.4, hand, CONFIG)
+    sooner = predicted(truth, truth.given, 0.1, hand, CONFIG)
+    ratio = np.diag(later.hand_covariance - truth.hand_covariance) / np.diag(
+        sooner.hand_covariance - truth.hand_covariance
+    )
+    np.testing.assert_allclose(ratio, 4)
