@@ -137,10 +137,11 @@ class LossConfig(Section):
     again: Share = 0.5
     """Probability that an object which was lost is where it is expected."""
     accept: Share = 0.6
-    """A tracker that is lost takes a pose of this confidence or more where the object is expected.
-    A new one takes an answer of the estimator of this confidence ..."""
-    accept_search: Share = 0.95
-    """... and a lost one of this: half an image, while something passes in front, misleads it."""
+    """A tracker that is lost takes a pose of this confidence or more ..."""
+    accept_elsewhere: Share = 0.95
+    """... and one of this if it is not where the object was expected."""
+    elsewhere: float = 0.01
+    """Mean distance of the surfaces from which on it is not [m]."""
 
 
 @dataclass(frozen=True)

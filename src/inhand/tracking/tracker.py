@@ -13,6 +13,7 @@ from inhand.estimate import Candidate, PoseEstimate
 from inhand.estimator import Clock, PoseEstimator, check_depth, check_wrist
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
+from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
@@ -159,13 +160,22 @@ class PoseTracker:
             # Of a hand that is hidden, the track knows more than the estimator.
             unseen = replace(estimate, timings=clock.seconds)
             return self._no_answer(estimate.reason, clock) if self._track else unseen
-        loss = self.config.loss
-        if estimate.confidence < (loss.accept_search if self._track else loss.accept):
+        if estimate.confidence < self._wanted(estimate):
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._no_answer(reason, clock)
         self._lost = False
         self._track = begun(estimate, given, self._hand.hand, self.config)
         return replace(estimate, timings=clock.seconds, covariance=self._covariance())
+
+    def _wanted(self, estimate: PoseEstimate) -> float:
+        """Confidence that an answer of the estimator must have to be taken."""
+        loss, track, T = self.config.loss, self._track, estimate.T_camera_object
+        if track is None or T is None:
+            return loss.accept
+        expected = track.T_camera_object.astype(np.float32)
+        one = T[None].astype(np.float32)
+        apart = surface_distances_to(one, expected, self._object, 2 * loss.elsewhere)[0]
+        return loss.accept if apart < loss.elsewhere else loss.accept_elsewhere
 
     def _answer(self, score: float, clock: Clock) -> PoseEstimate:
         track = self._track
