@@ -35,5 +35,5 @@ clean:
 	@touch $@
 
 .venv/.dev: .venv/.created pyproject.toml constraints.txt
-	$(PIP_INSTALL) -e '.[bench,ray,docs,dev]'
+	$(PIP_INSTALL) -e '.[bench,ray,streams,viewer,docs,dev]'
 	@touch $@ .venv/.core

@@ -20,7 +20,7 @@ from inhand.estimate import PoseEstimate
 from inhand.estimator import StageResults
 from inhand.evaluation.metrics import ObjectMetric, angle_errors, wrist_error
 from inhand.kernels.depth import DepthRenderer
-from inhand.picture import (
+from inhand.overlay import (
     HAND_COLOUR,
     OBJECT_COLOUR,
     Pixels,

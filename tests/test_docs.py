@@ -110,9 +110,8 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def names() -> dict[str, Any]:
     """Names that the pages' code blocks take for granted."""
     scene = demo_scene()
-    estimate = inhand.PoseEstimator(scene.hand, scene.obj).estimate(
-        scene.depth, scene.camera, scene.T_camera_hand_given
-    )
+    estimator = inhand.PoseEstimator(scene.hand, scene.obj)
+    estimate = estimator.estimate(scene.depth, scene.camera, scene.T_camera_hand_given)
     eye = np.eye(4)
     return {
         "K": scene.camera.matrix,
@@ -124,9 +123,12 @@ def names() -> dict[str, Any]:
         "counts": np.rint(1000 * scene.depth).astype(np.uint16),
         "depth": scene.depth,
         "estimate": estimate,
+        "estimator": estimator,
         "hand": scene.hand,
         "inhand": inhand,
+        "obj": scene.obj,
         "ranges": scene.depth,
+        "stream": [(scene.depth, scene.T_camera_hand_given)],
     }
 
 

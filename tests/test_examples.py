@@ -88,3 +88,12 @@ def test_data_set() -> None:
     assert [result.outcome for result in run.names["results"]] == ["answer"] * 4
     assert run.names["recall"]["share"] == 1
     assert run.files == ["data-set"]
+
+
+def test_stream() -> None:
+    run = run_example("08_stream")
+    counts, scene = run.names["summary"].counts, run.names["scene"]
+    assert (counts.processed, counts.found, counts.without_wrist) == (3, 2, 1)
+    T = np.array(run.names["result"]["T_camera_object"])
+    assert ObjectMetric(scene.obj).adi(T, scene.T_camera_object) < 0.002
+    assert run.files == ["results.jsonl", "stream"]

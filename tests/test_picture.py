@@ -14,18 +14,18 @@ from inhand.geometry.mesh import box
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
-from inhand.picture import (
+from inhand.overlay import (
     HAND_COLOUR,
     HIDDEN_COLOUR,
     NO_READING,
     OBJECT_COLOUR,
     PANEL,
     Window,
-    draw_estimate,
     grey_depth,
     outline,
     residual_colours,
 )
+from inhand.picture import draw_estimate
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, width=160, height=120)
 LEFT, RIGHT, TOP = 14, PANEL + 28, 34

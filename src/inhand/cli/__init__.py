@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from inhand.cli import bench, demo, estimate, report, synth, warmup
+from inhand.cli import annotate, bench, demo, estimate, report, run, synth, view, warmup
 from inhand.errors import InputError
 
 FOUND, NOT_FOUND, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -20,7 +20,10 @@ _RUN: dict[type, Callable[[Any], int | None]] = {
     estimate.Estimate: estimate.run,
     bench.Bench: bench.run,
     report.Report: report.run,
+    run.Run: run.run,
     synth.Synth: synth.run,
+    annotate.Annotate: annotate.run,
+    view.View: view.run,
     warmup.Warmup: warmup.run,
 }
 _Command = (
@@ -28,7 +31,10 @@ _Command = (
     | Annotated[estimate.Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[bench.Bench, tyro.conf.subcommand("bench")]
     | Annotated[report.Report, tyro.conf.subcommand("report")]
+    | Annotated[run.Run, tyro.conf.subcommand("run")]
     | Annotated[synth.Synth, tyro.conf.subcommand("synth")]
+    | Annotated[annotate.Annotate, tyro.conf.subcommand("annotate")]
+    | Annotated[view.View, tyro.conf.subcommand("view")]
     | Annotated[warmup.Warmup, tyro.conf.subcommand("warmup")]
 )
 

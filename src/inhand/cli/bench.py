@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
-DEFAULT_HAND = "hands/t42/hand_T42b.urdf"
-"""Looked for beside the frames and above."""
 WORST = 24
 """Frames on the contact sheet."""
 OWN_METHODS: dict[Preset, str] = {"default": "inhand", "paper": "paper"}
@@ -179,15 +177,12 @@ def _tell_sweeps(results: Sequence["FrameResult"], path: Path, console: Console)
 def _settings(args: Bench, device: str) -> dict[str, Any]:
     """What the results depend on."""
     import inhand
-    from inhand.datasets.frames import find_hand, find_objects
+    from inhand.datasets.frames import need_hand, need_objects
     from inhand.errors import InputError
     from inhand.evaluation.results import source_key
 
-    hand = args.hand or find_hand(args.frames[0], DEFAULT_HAND)
-    objects = args.objects or find_objects(args.frames[0], "objects")
-    if hand is None or objects is None:
-        flag, what = ("--hand", DEFAULT_HAND) if hand is None else ("--objects", "objects")
-        raise InputError(f"there is no {what} beside {args.frames[0]} or above: give {flag}")
+    hand = args.hand or need_hand(args.frames[0])
+    objects = args.objects or need_objects(args.frames[0])
     if not objects.is_dir():
         raise InputError(f"there is no folder of object meshes {objects}")
     return {

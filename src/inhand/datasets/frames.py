@@ -19,7 +19,7 @@ from inhand.datasets.frame import (
     Frame,
     Truth,
 )
-from inhand.datasets.npz import read_npz
+from inhand.datasets.npz import read_npz, read_object_name
 from inhand.errors import InputError
 from inhand.object_model import ObjectModel
 
@@ -37,9 +37,14 @@ __all__ = [
     "find_upwards",
     "frame_name",
     "load_object",
+    "need_hand",
+    "need_objects",
+    "object_name",
     "read_frame",
 ]
 
+DEFAULT_HAND = "hands/t42/hand_T42b.urdf"
+"""Looked for beside the frames and above where a data set does not name its hand."""
 _MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".dae")
 
 
@@ -99,6 +104,18 @@ def read_frame(path: str | Path) -> Frame:
     return read_npz(path, frame_name(path))
 
 
+def object_name(path: str | Path) -> str:
+    """Name of the object in the frame at `path`, without reading its images.
+
+    Raises:
+        InputError: a file is missing, cut short, or lacks the name.
+    """
+    path = Path(path)
+    if bop.is_frame(path):
+        return bop.read_object_name(path)
+    return read_object_name(path)
+
+
 def find_hand(folder: str | Path, relative: str) -> Path | None:
     """URDF of the hand in a data set: the one a BOP data set names, or as by `find_upwards`."""
     return bop.find_hand(Path(folder)) or find_upwards(folder, relative)
@@ -110,6 +127,30 @@ def find_objects(folder: str | Path, relative: str) -> Path | None:
     if scenes and (models := bop_models.find_models(bop.dataset_folder(scenes[0]))):
         return models
     return find_upwards(folder, relative)
+
+
+def need_hand(frames: str | Path) -> Path:
+    """URDF of the hand that belongs to frames: see `find_hand`, with `DEFAULT_HAND`.
+
+    Raises:
+        InputError: there is none.
+    """
+    hand = find_hand(frames, DEFAULT_HAND)
+    if hand is None:
+        raise InputError(f"there is no {DEFAULT_HAND} beside {frames} or above: give --hand")
+    return hand
+
+
+def need_objects(frames: str | Path) -> Path:
+    """Folder of the object models that belong to frames: see `find_objects`, with `objects`.
+
+    Raises:
+        InputError: there is none.
+    """
+    objects = find_objects(frames, "objects")
+    if objects is None:
+        raise InputError(f"there is no objects beside {frames} or above: give --objects")
+    return objects
 
 
 def load_object(folder: str | Path, name: str) -> ObjectModel:

@@ -48,16 +48,25 @@ def read_npz(path: Path, name: str) -> Frame:
         raise InputError(f"the frame {path} is not usable: {error}") from error
 
 
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_object_name(path: Path) -> str:
+    """Name of the object in a frame, without reading the rest.
+
+    Raises:
+        InputError: the file is missing, cut short, or lacks the name.
+    """
+    return str(_read_arrays(path, ("obj",))["obj"])
+
+
+def _read_arrays(path: Path, keys: tuple[str, ...] = _KEYS) -> dict[str, NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in _KEYS if key not in archive.files]
+            missing = [key for key in keys if key not in archive.files]
             if missing:
                 raise InputError(
                     f"the frame {path} lacks {', '.join(missing)}; it holds "
                     f"{', '.join(archive.files) or 'nothing'}"
                 )
-            return {key: archive[key] for key in _KEYS}
+            return {key: archive[key] for key in keys}
     except FileNotFoundError as error:
         raise InputError(f"there is no frame file {path}") from error
     except InputError:

@@ -16,7 +16,7 @@ from inhand.evaluation.summary import is_solved
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
-from inhand.picture import HAND_COLOUR, NO_READING, Window, grey_depth, outline
+from inhand.overlay import HAND_COLOUR, NO_READING, Window, grey_depth, outline
 
 TILE = 320
 """Edge of a frame's picture [pixel]."""

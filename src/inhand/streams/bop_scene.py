@@ -1,0 +1,74 @@
+"""A scene of a BOP data set as a source, such as the sequences of `inhand synth --sequence`."""
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from inhand.datasets.bop import CAMERA, HAND, find_scenes, is_scene, read_image, read_scene
+from inhand.errors import InputError
+from inhand.streams.bag import BagKind
+from inhand.streams.config import StreamConfig
+from inhand.streams.image_times import image_times
+from inhand.streams.source import Arrival, Frame
+
+FRAME_ID = "camera"
+"""Name of the camera's coordinate frame, which a data set does not name."""
+
+
+class BopScene:
+    """The images of one scene, in order; see `source.Source`.
+
+    Args:
+        path: the scene's folder.
+        config: what to take instead of the scene's own.
+
+    Raises:
+        InputError: `path` is a data set of several scenes, a file is broken, or there is no hand.
+    """
+
+    kind: BagKind | None = None
+
+    def __init__(self, path: Path, config: StreamConfig) -> None:
+        if not is_scene(path):
+            scenes = ", ".join(map(str, find_scenes(path)[:10]))
+            raise InputError(f"{path} is a BOP data set: name one of its scenes: {scenes}")
+        self.name, self._path, self._config = str(path), path, config
+        files = read_scene(path)
+        if files.hand_info is None and config.T_camera_hand is None:
+            raise InputError(f"{path} tells no wrist pose: it has no {HAND}; give --hand-pose FILE")
+        self._images = sorted(files.truth)
+        self._camera = config.camera or read_image(path, self._images[0]).camera
+        told = [files.camera[image].get("time") for image in self._images]
+        seconds = [None if time is None else float(time) for time in told]
+        self._times = image_times(seconds, config.frame_rate, str(path / CAMERA))
+        self.count = len(self._images)
+        wrist = path / HAND if config.T_camera_hand is None else "as given, for all images"
+        self.description = (
+            f"depth: {self.count} images of the scene {path}",
+            f"camera: {path / CAMERA if config.camera is None else 'as given'}",
+            f"wrist: {wrist}",
+        )
+
+    def arrivals(self) -> Iterator[Arrival]:
+        """See `source.Source.arrivals`."""
+        for image, time_ns in zip(self._images, self._times, strict=True):
+            yield Arrival(time_ns, partial(self._frame, image, time_ns))
+
+    def close(self) -> None:
+        """See `source.Source.close`."""
+
+    def _frame(self, number: int, time_ns: int) -> Frame:
+        T = self._config.T_camera_hand
+        try:
+            image = read_image(self._path, number)
+        except InputError as error:
+            return Frame(str(number), time_ns, FRAME_ID, self._camera, None, T, str(error))
+        if T is None and image.hand is not None:
+            T = image.hand.T_camera_hand_given
+        camera = self._config.camera or image.camera
+        return Frame(str(number), time_ns, FRAME_ID, camera, image.depth, T)
+
+
+def has_scenes(path: Path) -> bool:
+    """Whether a folder is a scene or a data set with scenes."""
+    return path.is_dir() and bool(find_scenes(path))

@@ -1,0 +1,200 @@
+"""The loop: images in, estimates out, and every image accounted for."""
+
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from itertools import islice
+from typing import Any, Protocol
+
+from inhand.errors import InputError
+from inhand.estimate import PoseEstimate
+from inhand.streams.replay import Clock, SystemClock, in_real_time
+from inhand.streams.source import Arrival, Frame, Source
+
+Estimate = Callable[[Frame], PoseEstimate]
+"""Estimates an image whose depth and wrist pose are there: an estimator, or a tracker, which needs
+the time as well."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What became of the images so far."""
+
+    processed: int = 0
+    """Images taken from the source: those estimated, and those that could not be."""
+    found: int = 0
+    """Images with an answer."""
+    dropped: int = 0
+    """Images passed over because they came while another was being processed."""
+    without_wrist: int = 0
+    """Images not estimated because the source has no wrist pose for them."""
+    refused: int = 0
+    """Images not estimated because they could not be decoded or were bad input."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """An image and its estimate."""
+
+    frame: Frame
+    estimate: PoseEstimate
+    """With `found=False` and the reason where the image could not be estimated."""
+    dropped: int
+    """Images dropped between the one before and this one."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How a run ended."""
+
+    source: str
+    """Name of the source."""
+    counts: Counts
+    stopped: str
+    """Why the run ended before the source did; empty if it did not."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The summary in JSON's types."""
+        return {"source": self.source, **asdict(self.counts), "stopped": self.stopped}
+
+
+class Output(Protocol):
+    """Where results go."""
+
+    def write(self, result: Result) -> None:
+        """Take a result.
+
+        Raises:
+            InputError: it cannot be written; what was written before stays readable.
+        """
+        ...
+
+    def finish(self, summary: Summary) -> None:
+        """Take the end of the run, and close; called once, however the run ended.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        ...
+
+
+def run(
+    source: Source,
+    estimate: Estimate,
+    outputs: Sequence[Output],
+    *,
+    rate: float | None = None,
+    limit: int | None = None,
+    report: Callable[[Counts], None] = lambda counts: None,
+    clock: Clock | None = None,
+) -> Summary:
+    """Estimate the images of a source one after the other and write the results.
+
+    Args:
+        source: where the images come from.
+        estimate: estimates one image.
+        outputs: where the results go; all are finished, however the run ends.
+        rate: times as fast as recorded, dropping what comes in between; None: every image.
+        limit: stop after this many images.
+        report: told the counts after every image.
+        clock: tells the time.
+
+    Raises:
+        InputError: an argument makes no sense; or the source breaks off or an output cannot be
+            written, and the rest is written.
+        KeyboardInterrupt: Ctrl-C; all results are written.
+    """
+    counts, stopped = Counts(), "it broke off unexpectedly"
+    try:
+        check_pace(source, rate, limit)
+        arrivals: Iterator[Arrival] = source.arrivals()
+        if rate is not None:
+            arrivals = in_real_time(arrivals, rate, clock or SystemClock())
+        for arrival in islice(arrivals, limit):
+            result = _process(arrival, estimate)
+            with interrupt_held():
+                counts = _count(counts, result)
+                for output in outputs:
+                    output.write(result)
+            report(counts)
+        stopped = "" if limit is None or counts.processed < limit else f"after {limit} images"
+    except KeyboardInterrupt:
+        stopped = "interrupted"
+        raise
+    except InputError as error:
+        stopped = str(error)
+        raise
+    finally:
+        summary = Summary(source.name, counts, stopped)
+        with interrupt_held():
+            _finish(outputs, summary)
+    return summary
+
+
+def check_pace(source: Source, rate: float | None, limit: int | None) -> None:
+    """Raise InputError if `rate` or `limit` make no sense for a source; see `run`."""
+    if limit is not None and limit < 1:
+        raise InputError(f"the limit must be at least 1 image, got {limit}")
+    if rate is not None and not 0 < rate < float("inf"):
+        raise InputError(f"the rate must be positive (1 is real time), got {rate:g}")
+    if rate is not None and source.count is None:
+        raise InputError("a camera plays in real time already: leave out the rate")
+
+
+def _process(arrival: Arrival, estimate: Estimate) -> Result:
+    frame = arrival.decode()
+    if frame.depth is None or frame.T_camera_hand is None:
+        return Result(frame, _no_estimate(frame.problem), arrival.dropped)
+    try:
+        answer = estimate(frame)
+    except InputError as error:
+        frame = replace(frame, depth=None, problem=str(error))
+        answer = _no_estimate(frame.problem)
+    return Result(frame, answer, arrival.dropped)
+
+
+def _no_estimate(reason: str) -> PoseEstimate:
+    return PoseEstimate(False, reason, None, {}, None, 0.0)
+
+
+def _count(counts: Counts, result: Result) -> Counts:
+    refused = result.frame.depth is None
+    return Counts(
+        processed=counts.processed + 1,
+        found=counts.found + result.estimate.found,
+        dropped=counts.dropped + result.dropped,
+        without_wrist=counts.without_wrist + (not refused and result.frame.T_camera_hand is None),
+        refused=counts.refused + refused,
+    )
+
+
+def _finish(outputs: Sequence[Output], summary: Summary) -> None:
+    """Finish all outputs, the first at the end: it then knows if another could not be."""
+    errors = []
+    for output in reversed(outputs):
+        try:
+            output.finish(summary)
+        except InputError as error:
+            errors.append(error)
+            summary = replace(summary, stopped=summary.stopped or str(error))
+    if errors:
+        raise errors[0]
+
+
+@contextmanager
+def interrupt_held() -> Iterator[None]:
+    """Ctrl-C waits until the block is done, so that no file is left half written."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield  # it comes to another thread, or is ignored
+        return
+    pressed: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, stack: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if pressed:
+        before(signal.SIGINT, None)

@@ -1,0 +1,1 @@
+"""A web page that shows frames, estimates and what led to them (needs the `viewer` extra)."""

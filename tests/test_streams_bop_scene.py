@@ -1,0 +1,89 @@
+"""A scene of a BOP data set as a source."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inhand.camera import Camera
+from inhand.datasets import bop
+from inhand.datasets.bop import BopImage, HandInfo, HandTruth, Instance
+from inhand.datasets.bop_writer import finish_scene, write_image
+from inhand.errors import InputError
+from inhand.geometry.se3 import exp
+from inhand.streams.config import StreamConfig
+from inhand.streams.open_source import open_source
+from inhand.streams.source import Frame
+
+CAMERA = Camera(fx=40.0, fy=40.0, cx=15.5, cy=11.5, width=32, height=24, depth_unit=bop.DEPTH_UNIT)
+
+
+def image(number: int, *, hand: bool) -> BopImage:
+    mask = np.ones((24, 32), dtype=bool)
+    truth = HandTruth(
+        T_camera_hand=np.eye(4),
+        T_camera_hand_given=exp(np.array([0.1, 0, 0, 0, 0, 0.1 * number])),
+        joint_positions={},
+        T_camera_link={},
+    )
+    return BopImage(
+        camera=CAMERA,
+        depth=np.full((24, 32), 0.4 + 0.01 * number, dtype=np.float32),
+        instances=(Instance(1, np.eye(4), mask, mask, silhouette_pixels=mask.size),),
+        hand=truth if hand else None,
+    )
+
+
+def write_scene(folder: Path, *, hand: bool = True) -> Path:
+    scene = folder / "test" / "000001"
+    for number in (2, 4, 9):
+        write_image(scene, number, image(number, hand=hand))
+    finish_scene(scene, HandInfo(folder / "hand.urdf", {}) if hand else None)
+    return scene
+
+
+def frames(scene: Path, config: StreamConfig) -> list[Frame]:
+    return [arrival.decode() for arrival in open_source(str(scene), config).arrivals()]
+
+
+def test_images_in_order_with_the_wrist_that_is_given(tmp_path: Path) -> None:
+    found = frames(write_scene(tmp_path), StreamConfig(frame_rate=10))
+    assert [f.name for f in found] == ["2", "4", "9"]
+    assert [f.time_ns for f in found] == [0, 100_000_000, 200_000_000]
+    for frame in found:
+        assert frame.depth is not None
+        assert frame.T_camera_hand is not None
+        assert frame.camera == CAMERA
+        np.testing.assert_allclose(frame.depth, 0.4 + 0.01 * int(frame.name), rtol=1e-6)
+        assert frame.T_camera_hand[2, 3] == pytest.approx(0.1 * int(frame.name))
+
+
+def test_times_of_a_sequence(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    path = scene / "scene_camera.json"
+    fields = json.loads(path.read_text())
+    for number, entry in fields.items():
+        entry["time"] = 0.5 * int(number)
+    path.write_text(json.dumps(fields))
+    assert [f.time_ns for f in frames(scene, StreamConfig())] == [10**9, 2 * 10**9, 4_500_000_000]
+
+
+def test_a_broken_image_is_one_problem(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    (scene / "depth" / "000004.png").write_bytes(b"no image")
+    found = frames(scene, StreamConfig())
+    assert [f.depth is not None for f in found] == [True, False, True]
+    assert "cannot read the image" in found[1].problem
+
+
+def test_what_is_missing_is_said(tmp_path: Path) -> None:
+    write_scene(tmp_path)
+    with pytest.raises(InputError, match=r"name one of its scenes: .*000001"):
+        open_source(str(tmp_path), StreamConfig())
+    scene = write_scene(tmp_path / "other", hand=False)
+    with pytest.raises(InputError, match=r"no wrist pose: it has no scene_hand\.json"):
+        open_source(str(scene), StreamConfig())
+    T = exp(np.array([0, 0, 0, 0, 0, 0.5]))
+    for frame in frames(scene, StreamConfig(T_camera_hand=T)):
+        np.testing.assert_array_equal(frame.T_camera_hand, T)
