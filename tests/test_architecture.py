@@ -29,7 +29,7 @@ LAYERS = [
     ["io", "overlay", "picture", "builtin", "cluster"],
     ["synth", "datasets"],
     ["evaluation", "baselines", "tracking", "streams"],
-    ["cli", "viewer"],
+    ["cli", "viewer", "annotation"],
 ]
 # In the order of the pipeline; other modules in stages/ are shared parts.
 STAGES = [

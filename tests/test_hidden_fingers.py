@@ -80,7 +80,11 @@ def test_what_the_image_speaks_against_needs_a_reason() -> None:
         state = state_of(scene, tried, np.array(score))
         _, joints = placed(scene, state, scene.T_camera_object[None])
         np.testing.assert_array_equal(joints[scene.hand.fingers[0].joints], tried[0])
-    # If the image speaks against reaching for the object more than the gap costs, it stays.
+    # If reaching for the object gains less than it must, the finger stays.
+    stubborn = replace(CONFIG, finger_elsewhere=1.0)
+    _, joints = placed(scene, state, scene.T_camera_object[None], stubborn)
+    np.testing.assert_array_equal(joints, state.joint_vector)
+    # Or if the image speaks against it more than the gap costs.
     tried[0] = state.joint_vector[scene.hand.fingers[0].joints]
     state = state_of(scene, tried, np.array([1.0, 0.0]))
     _, joints = placed(scene, state, scene.T_camera_object[None])

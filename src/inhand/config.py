@@ -441,6 +441,9 @@ class SelectionConfig(Section):
     """`likelihood`: surface samples of a finger link that are held against the object for it."""
     finger_visibility: NonNegative = 0.5
     """`likelihood`: weight of a configuration's visibility score in it."""
+    finger_elsewhere: NonNegative = 0.2
+    """`likelihood`: what must be gained by it for a finger to be reported elsewhere than the image
+    does."""
     merge_distance: NonNegative = 0.001
     """Poses whose surfaces are nearer on average are one [m]."""
     rival_distance: float = 0.004

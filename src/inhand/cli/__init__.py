@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from inhand.cli import bench, demo, estimate, report, run, synth, view, warmup
+from inhand.cli import annotate, bench, demo, estimate, report, run, synth, view, warmup
 from inhand.errors import InputError
 
 FOUND, NOT_FOUND, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -22,6 +22,7 @@ _RUN: dict[type, Callable[[Any], int | None]] = {
     report.Report: report.run,
     run.Run: run.run,
     synth.Synth: synth.run,
+    annotate.Annotate: annotate.run,
     view.View: view.run,
     warmup.Warmup: warmup.run,
 }
@@ -32,6 +33,7 @@ _Command = (
     | Annotated[report.Report, tyro.conf.subcommand("report")]
     | Annotated[run.Run, tyro.conf.subcommand("run")]
     | Annotated[synth.Synth, tyro.conf.subcommand("synth")]
+    | Annotated[annotate.Annotate, tyro.conf.subcommand("annotate")]
     | Annotated[view.View, tyro.conf.subcommand("view")]
     | Annotated[warmup.Warmup, tyro.conf.subcommand("warmup")]
 )

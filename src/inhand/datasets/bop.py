@@ -204,7 +204,7 @@ def read_sensed(files: SceneFiles, image_id: int) -> Sensed:
     camera, hand = read_camera(files, image_id), _read_hand(files, image_id)
     return Sensed(
         camera=camera,
-        depth=read_depth(_depth_path(files.folder, image_id), camera),
+        depth=read_depth(depth_path(files.folder, image_id), camera),
         T_camera_hand=None if hand is None else hand.T_camera_hand_given,
     )
 
@@ -221,9 +221,9 @@ def read_image(scene: Path, image_id: int) -> BopImage:
     count = len(files.truth[image_id])
     return BopImage(
         camera=camera,
-        depth=read_depth(_depth_path(scene, image_id), camera),
+        depth=read_depth(depth_path(scene, image_id), camera),
         instances=tuple(_read_instance(files, image_id, i, camera) for i in range(count)),
-        rgb=_read_rgb(scene, image_id, camera),
+        rgb=read_rgb(scene, image_id, camera),
         hand=_read_hand(files, image_id),
         segmentation=_read_segmentation(scene, image_id, camera),
         time=read_time(files, image_id),
@@ -303,7 +303,7 @@ def read_frame(path: Path, name: str) -> Frame:
     camera = read_camera(files, image_id)
     instance = _read_instance(files, image_id, index, camera)
     hand = _read_hand(files, image_id)
-    depth = read_depth(_depth_path(scene, image_id), camera)
+    depth = read_depth(depth_path(scene, image_id), camera)
     segmentation = _read_segmentation(scene, image_id, camera)
     return Frame(
         name=name,
@@ -318,7 +318,7 @@ def read_frame(path: Path, name: str) -> Frame:
             label=_label(instance, depth, segmentation, files.hand_info),
             visible_share=instance.visible_share,
         ),
-        rgb=_read_rgb(scene, image_id, camera),
+        rgb=read_rgb(scene, image_id, camera),
         time=read_time(files, image_id),
     )
 
@@ -358,15 +358,15 @@ def read_object_name(path: Path) -> str:
 
 @lru_cache(maxsize=4)
 def _read_scene(scene: Path, _changed: tuple[int, ...]) -> SceneFiles:
-    truth = _by_image(read_json(scene / TRUTH), scene / TRUTH)
-    camera = _by_image(read_json(scene / CAMERA), scene / CAMERA)
+    truth = by_image(read_json(scene / TRUTH), scene / TRUTH)
+    camera = by_image(read_json(scene / CAMERA), scene / CAMERA)
     info, hand, hand_info = {}, {}, None
     if (scene / INFO).is_file():
-        info = _by_image(read_json(scene / INFO), scene / INFO)
+        info = by_image(read_json(scene / INFO), scene / INFO)
     if (scene / HAND).is_file():
         fields = read_json(scene / HAND)
         hand_info = _read_hand_info(fields, scene)
-        hand = _by_image(fields.get("images"), scene / HAND)
+        hand = by_image(fields.get("images"), scene / HAND)
     for name, entries in ((CAMERA, camera), (INFO, info), (HAND, hand)):
         missing = sorted(set(truth) - set(entries)) if entries else []
         if missing:
@@ -379,7 +379,12 @@ def _read_scene(scene: Path, _changed: tuple[int, ...]) -> SceneFiles:
     return SceneFiles(scene, camera, truth, info, hand, hand_info)
 
 
-def _by_image(fields: Any, path: Path) -> dict[int, Any]:
+def by_image(fields: Any, path: Path) -> dict[int, Any]:
+    """The entries of one of a scene's JSON files by the image's number.
+
+    Raises:
+        InputError: they have other keys.
+    """
     try:
         return {int(key): entry for key, entry in fields.items()}
     except (ValueError, AttributeError) as error:
@@ -409,14 +414,14 @@ def _read_hand_info(fields: Mapping[str, Any], scene: Path) -> HandInfo:
 
 
 def read_camera(files: SceneFiles, image_id: int) -> Camera:
-    """The camera of an image, of whose file only the size is read.
+    """The camera of an image; `depth_unit` is the step of its readings.
 
     Raises:
-        InputError: the image or its entry is missing or broken.
+        InputError: the scene does not have the image, or says nothing sensible about it.
     """
     path = files.folder / CAMERA
     fields = _entry(files.camera, image_id, path)
-    width, height = _image_size(_depth_path(files.folder, image_id))
+    width, height = _image_size(depth_path(files.folder, image_id))
     try:
         K = np.array(fields["cam_K"], dtype=np.float64).reshape(3, 3)
         unit = float(fields["depth_scale"]) / 1000
@@ -485,7 +490,12 @@ def _read_hand(files: SceneFiles, image_id: int) -> HandTruth | None:
         raise InputError(f"image {image_id} in {path}: {error!s}") from error
 
 
-def _read_rgb(scene: Path, image_id: int, camera: Camera) -> NDArray[np.uint8] | None:
+def read_rgb(scene: Path, image_id: int, camera: Camera) -> NDArray[np.uint8] | None:
+    """The colour image of an image, shape (H, W, 3), or None.
+
+    Raises:
+        InputError: it is broken, or of another size than the depth image.
+    """
     for folder, suffixes in _COLOUR_FOLDERS:
         for suffix in suffixes:
             path = scene / folder / f"{image_id:06d}{suffix}"
@@ -499,7 +509,8 @@ def _read_segmentation(scene: Path, image_id: int, camera: Camera) -> NDArray[np
     return _read_pixels(path, camera) if path.is_file() else None
 
 
-def _depth_path(scene: Path, image_id: int) -> Path:
+def depth_path(scene: Path, image_id: int) -> Path:
+    """The file of a depth image, whether it is there or not."""
     paths = [scene / "depth" / f"{image_id:06d}{suffix}" for suffix in _DEPTH_SUFFIXES]
     return next((path for path in paths if path.is_file()), paths[0])
 

@@ -42,13 +42,22 @@ def model_name(models: Path | None, object_id: int) -> str:
     return str(info.get("name", f"obj_{object_id:06d}"))
 
 
+def model_ids(models: Path) -> dict[str, int]:
+    """Numbers of the objects by name.
+
+    Raises:
+        InputError: `models_info.json` is broken.
+    """
+    return {model_name(models, i): i for i in _info(models)}
+
+
 def model_id(models: Path, name: str) -> int:
     """Number of the object of a name.
 
     Raises:
         InputError: there is no such object.
     """
-    names = {model_name(models, i): i for i in _info(models)}
+    names = model_ids(models)
     if name not in names:
         raise InputError(
             f'there is no object "{name}" in {models / INFO}; it holds: '

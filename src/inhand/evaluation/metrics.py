@@ -191,7 +191,7 @@ class ObjectMetric:
 
     def add(self, T_estimate: Array, T_truth: Array) -> float:
         """ADD [m] to the nearest of the symmetric poses of the truth."""
-        symmetric = self._nearest_symmetric(T_estimate, T_truth)
+        symmetric = self.nearest_symmetric(T_estimate, T_truth)
         return add(self.points, np.asarray(T_estimate, np.float64), symmetric)
 
     def mssd(self, T_estimate: Array, T_truth: Array) -> float:
@@ -246,12 +246,12 @@ class ObjectMetric:
         """
         centre = np.asarray(self.model.symmetry.centre, dtype=np.float64)[None]
         moved = transform(T_estimate, centre) - transform(T_truth, centre)
-        symmetric = self._nearest_symmetric(T_estimate, T_truth)
+        symmetric = self.nearest_symmetric(T_estimate, T_truth)
         angle = rotation_angle(T_estimate[:3, :3], symmetric[:3, :3])
         return PoseError(float(np.linalg.norm(moved)), float(angle))
 
-    def _nearest_symmetric(self, T_estimate: Array, T_truth: Array) -> Array:
-        """The pose, among those that look like the truth, whose rotation is nearest."""
+    def nearest_symmetric(self, T_estimate: Array, T_truth: Array) -> Array:
+        """The pose, (4, 4), among those that look like the truth, whose rotation is nearest."""
         symmetry = self.model.symmetry
         if _is_sphere(symmetry):
             return _turned_to(T_estimate, T_truth, symmetry.centre)

@@ -43,9 +43,10 @@ def place_hidden_fingers(
         clearance = _clearances(ranked.T_camera_object[:n], obj, finger, tried, evidence, config)
         apart = gap_cost(clearance, evidence.config) / len(hand.fingers)
         cost = doubt + penetration_cost(-clearance, evidence.config) + apart
-        best = cost.argmin(axis=1)
-        score[:n] += apart[:, 0] - cost[np.arange(n), best]
-        joints[:, finger.joints] = tried[best]
+        score[:n] += apart[:, 0] - cost.min(axis=1)
+        # The image's own place for it may be uncertain, but is more than a guess.
+        cost[:, 1:] += config.finger_elsewhere
+        joints[:, finger.joints] = tried[cost.argmin(axis=1)]
     order = np.concatenate([np.argsort(-score[:n], kind="stable"), np.arange(n, len(ranked))])
     return PoseSet(ranked.T_camera_object[order], score[order]), joints[order[0]]
 

@@ -138,7 +138,7 @@ class LossConfig(Section):
     """Probability that an object which was lost is where it is expected."""
     accept: Share = 0.6
     """A tracker that is lost takes a pose of this confidence or more ..."""
-    accept_elsewhere: Share = 0.85
+    accept_elsewhere: Share = 0.95
     """... and one of this if it is not where the object was expected."""
     elsewhere: float = 0.01
     """Mean distance of the surfaces from which on it is not [m]."""

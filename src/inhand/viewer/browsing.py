@@ -72,6 +72,7 @@ class Browsing:
         try:
             analysis = self._session.analysis(index)
         except InputError as error:
+            self._page.clear()  # what is left of another frame would pass for this one
             name = self._session.source.names[index]
             raise InputError(f"{name} cannot be shown: {error}") from error
         self._page.show(analysis)

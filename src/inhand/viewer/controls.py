@@ -45,6 +45,12 @@ class StageControls:
         self._stage.visible = len(self._stages) > 1
         self._offer_poses()
 
+    def clear(self) -> None:
+        """Offer nothing: there is no frame."""
+        self._stages = ()
+        self._text.content = self._about.content = ""
+        self._rank.visible = False
+
     def turn(self, step: int) -> None:
         """Go on by some stages, as far as there are any."""
         if len(self._stages) < 2:

@@ -17,6 +17,7 @@ from inhand.viewer.worker import Worker
 
 PANEL_WIDTH = 380
 """Of the panel with the pictures [pixel]."""
+NO_PICTURE = np.full((SIZE, SIZE, 3), 24, dtype=np.uint8)
 LEGEND = """\
 **Above**: outlines of the hand (blue), the object (orange; brown where it is hidden) and the true
 object (green). **Below**: observed minus rendered depth, blue in front of the model, red behind it,
@@ -66,6 +67,14 @@ class Page:
         self._draw_pictures()
         self._table.content = candidate_table(analysis)
 
+    def clear(self) -> None:
+        """Show nothing, as a frame cannot be shown; to be called by the worker."""
+        self._analysis = None
+        self.stages.clear()
+        self._scene.clear()
+        self._silhouettes.image = self._residuals.image = NO_PICTURE
+        self._numbers.content = self._table.content = ""
+
     def redraw(self) -> None:
         """Have the page drawn as the controls say now."""
         self.worker.submit("scene", self._draw_scene)
@@ -83,12 +92,11 @@ class Page:
 
     def _add_pictures(self) -> None:
         gui = self.server.gui
-        nothing = np.full((SIZE, SIZE, 3), 24, dtype=np.uint8)
         panel = gui.add_panel()
         with panel.add_tab("Image"):
             self._numbers = gui.add_markdown("")
-            self._silhouettes = gui.add_image(nothing, jpeg_quality=90)
-            self._residuals = gui.add_image(nothing, jpeg_quality=90)
+            self._silhouettes = gui.add_image(NO_PICTURE, jpeg_quality=90)
+            self._residuals = gui.add_image(NO_PICTURE, jpeg_quality=90)
             gui.add_markdown(LEGEND)
         panel.dock_left()
         panel.set_width(PANEL_WIDTH)

@@ -66,6 +66,14 @@ class SceneDrawing:
         self._draw_poses(shown, layers.shows("All poses"))
         self._draw_camera(shown.analysis, layers.shows("Camera"))
 
+    def clear(self) -> None:
+        """Show nothing."""
+        drawings = (self._cloud, self._poses, self._hand, self._true_hand, self._camera)
+        for drawing in (*drawings, *(self._objects or ())):
+            drawing.hide()
+        for part in ("cloud", "poses", "camera"):
+            self._drawn.pop(part, None)
+
     def _is_new(self, what: str, *state: Any) -> bool:
         """Whether a part of the scene was drawn for another state the last time."""
         last = self._drawn.get(what)
