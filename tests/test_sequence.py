@@ -88,6 +88,14 @@ def test_frames_are_dropped_as_often_as_asked() -> None:
     assert (np.diff(time_stamps(50, MotionProtocol(dropped=0), np.random.default_rng(0))) > 0).all()
 
 
+def test_the_given_wrist_is_off_in_place_and_in_turn(sequence: Sequence) -> None:
+    p, true, told = CLEAN, sequence.T_camera_hand, sequence.T_camera_hand_given
+    place = np.linalg.norm((told - true)[:, :3, 3], axis=1)
+    turn = se3.rotation_angle(told[:, :3, :3], true[:, :3, :3])
+    for error, sd in ((place, p.wrist_translation), (turn, p.wrist_rotation)):
+        assert 0.3 * sd < error.min() < error.max() < 5 * sd
+
+
 def test_wrist_errors_are_a_constant_with_a_slow_drift_and_a_small_jitter() -> None:
     times = np.arange(300) / 30
     many = np.stack(

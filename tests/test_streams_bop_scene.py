@@ -1,6 +1,7 @@
 """A scene of a BOP data set as a source."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,32 @@ def test_a_broken_image_is_one_problem(tmp_path: Path) -> None:
     found = frames(scene, StreamConfig())
     assert [f.depth is not None for f in found] == [True, False, True]
     assert "cannot read the image" in found[1].problem
+
+
+def test_the_first_image_may_be_the_broken_one(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    (scene / "depth" / "000002.png").write_bytes(b"no image")
+    found = frames(scene, StreamConfig())
+    assert [f.depth is not None for f in found] == [False, True, True]
+    assert {f.camera for f in found} == {CAMERA}
+
+
+def test_no_ground_truth_of_the_object_is_needed(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    shutil.rmtree(scene / "mask")
+    shutil.rmtree(scene / "mask_visib")
+    assert all(f.depth is not None for f in frames(scene, StreamConfig()))
+
+
+def test_a_time_that_is_none_is_said(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    path = scene / "scene_camera.json"
+    fields = json.loads(path.read_text())
+    for entry in fields.values():
+        entry["time"] = "noon"
+    path.write_text(json.dumps(fields))
+    with pytest.raises(InputError, match=r"image 2 in .*scene_camera\.json: time must be"):
+        open_source(str(scene), StreamConfig())
 
 
 def test_what_is_missing_is_said(tmp_path: Path) -> None:

@@ -151,6 +151,13 @@ def test_what_is_wrong_is_said(tmp_path: Path, case: str) -> None:
         open_source(str(folder), StreamConfig())
 
 
+@pytest.mark.parametrize("name", ["longest_gap", "frame_rate", "patience"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_times_and_rates_are_positive(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"{name} must be positive"):
+        StreamConfig(**{name: value})  # type: ignore[arg-type]
+
+
 def test_topics_are_for_recordings(tmp_path: Path) -> None:
     folder = write_folder(tmp_path, ["0.png"])
     with pytest.raises(InputError, match="is no recording, for which alone there is: depth_topic"):

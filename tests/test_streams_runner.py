@@ -157,15 +157,16 @@ def test_an_output_that_cannot_write_stops_the_run_and_the_others_are_finished()
         assert [s.stopped for s in output.summaries] == ["no space left"]
 
 
-def test_all_outputs_are_finished_when_one_cannot_be() -> None:
+@pytest.mark.parametrize("kind", [InputError, RuntimeError])
+def test_all_outputs_are_finished_when_one_cannot_be(kind: type[Exception]) -> None:
     class Unfinishable(Kept):
         def finish(self, summary: Any) -> None:
-            raise InputError("no space left for the index")
+            raise kind("no space left for the index")
 
-    last = Kept()
-    with pytest.raises(InputError, match="no space left for the index"):
-        run(FakeSource(range(2)), found, [Unfinishable(), last])
-    assert len(last.summaries) == 1
+    first, last = Kept(), Kept()
+    with pytest.raises(kind, match="no space left for the index"):
+        run(FakeSource(range(2)), found, [first, Unfinishable(), last])
+    assert len(first.summaries) == len(last.summaries) == 1
 
 
 def test_ctrl_c_between_images_finishes_the_outputs(interruptible: None) -> None:

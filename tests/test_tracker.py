@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from inhand import Camera, InputError, PoseEstimate, PoseTracker, TrackerConfig
+from inhand import Camera, InputError, ObjectModel, PoseEstimate, PoseTracker, TrackerConfig
 from inhand.evaluation.metrics import adi, sample_model
 from inhand.geometry import se3
 from inhand.geometry.se3 import rotation_angle, transform
@@ -104,6 +105,33 @@ def test_every_answer_has_a_sound_covariance(followed: list[PoseEstimate]) -> No
     sd = np.sqrt([np.diag(e.covariance) for e in followed[3:] if e.covariance is not None])
     assert (sd[:, :3] < np.radians(6)).all()
     assert (sd[:, 3:] < 0.01).all()
+
+
+def test_where_the_meshs_origin_lies_changes_nothing(
+    moving: Film, followed: list[PoseEstimate], tmp_path: Path
+) -> None:
+    """Not even what is known of a point: the covariance speaks of the frame's own origin."""
+    away = np.array([0.08, -0.06, 0.12])
+    mesh, path = moving.obj.mesh, tmp_path / "moved.obj"
+    lines = ["v {} {} {}".format(*vertex) for vertex in (mesh.vertices + away).tolist()]
+    lines += ["f {} {} {}".format(*face) for face in mesh.faces + 1]
+    path.write_text("\n".join(lines))
+    tracker = PoseTracker(moving.hand, ObjectModel.from_mesh(path), device="cpu")
+    for i in range(4):
+        e, usual = moving.show(tracker, i), followed[i]
+        assert e.T_camera_object is not None
+        assert usual.T_camera_object is not None
+        assert e.covariance is not None
+        assert usual.covariance is not None
+        R = usual.T_camera_object[:3, :3]
+        back = e.T_camera_object[:3, 3] + R @ away
+        assert np.linalg.norm(back - usual.T_camera_object[:3, 3]) < 0.0005
+        J = np.eye(6)  # from a twist about one origin to the motion of the other
+        J[3:, :3] = se3.skew(R @ away)
+        expected = J @ usual.covariance @ J.T
+        np.testing.assert_allclose(e.covariance, expected, atol=0.05 * np.abs(expected).max())
+        far, near = np.trace(e.covariance[3:, 3:]), np.trace(usual.covariance[3:, 3:])
+        assert far > 1.5 * near
 
 
 def test_the_same_images_give_the_same_answers(moving: Film, followed: list[PoseEstimate]) -> None:

@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from inhand.config import HandStateConfig
 from inhand.errors import NoAnswer
+from inhand.geometry import se3
 from inhand.geometry.se3 import rotation_angle, transform
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.hand_visibility import HandVisibility
@@ -16,7 +17,7 @@ from inhand.tracking.config import TrackerConfig
 from inhand.tracking.finger_search import find_lost_fingers
 from inhand.tracking.gaussian import moved, twist_between
 from inhand.tracking.hand_track import follow_hand
-from inhand.tracking.object_track import follow_object, segment_near
+from inhand.tracking.object_track import _system, follow_object, segment_near
 from inhand.tracking.track import Track, predicted
 
 CONFIG = TrackerConfig()
@@ -147,6 +148,35 @@ def test_a_lost_finger_is_found_where_the_image_shows_it() -> None:
     assert wrong[0] < np.radians(6)
     kept = held.hand.fingers[1].joints
     np.testing.assert_array_equal(found.joint_vector[kept], truth.joint_vector[kept])
+
+
+def test_the_system_foretells_what_a_small_motion_changes(held: HeldObject) -> None:
+    """Its matrix is how its right-hand side falls with a twist about the object's centre."""
+    track = track_of(held, SURE)
+    segment = segment_near(held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
+    evidence = gather_evidence(
+        held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
+    )
+    # Wide, so that weights hardly change.
+    config = replace(CONFIG, object=replace(CONFIG.object, last_width=0.05, points=10**6))
+    T, centre = held.T_camera_object, held.obj.model.centre
+    A, b = _system(evidence, held.obj, T, config)
+    size = np.sqrt(np.diag(A))
+    for i, small in enumerate([0.01] * 3 + [0.0005] * 3):
+        twist = small * np.eye(6)[i]
+        _, after = _system(evidence, held.obj, moved(T, twist, centre), config)
+        fallen = (b - after) / size / small / size[i]
+        np.testing.assert_allclose(fallen, A[i] / size / size[i], atol=0.35)
+
+
+def test_a_camera_that_turns_turns_the_covariance() -> None:
+    held = held_object("cuboid")
+    unequal = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]) ** 2
+    track, hand = track_of(held, unequal), built_in_hand().hand
+    quarter = se3.exp(np.array([0, 0, np.pi / 2, 0, 0, 0]))
+    after = predicted(track, quarter @ track.given, 1e-6, hand, CONFIG)
+    expected = np.diag([0.2, 0.1, 0.3, 0.02, 0.01, 0.03]) ** 2
+    np.testing.assert_allclose(after.object_covariance, expected, atol=1e-8)
 
 
 def test_prediction_carries_hand_and_object_with_the_wrist() -> None:

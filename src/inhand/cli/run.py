@@ -143,14 +143,13 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
 def _make_estimate(args: Run, hand: "Hand", obj: "ObjectModel", device: str) -> "Estimate":
     from inhand.cli.common import make_config
     from inhand.estimator import PoseEstimator
-    from inhand.streams.pose_track import NS
+    from inhand.streams.following import Following
     from inhand.tracking.config import TrackerConfig
     from inhand.tracking.tracker import PoseTracker
 
     config = make_config(args.preset, args.seed)
     if args.track:
-        tracker = PoseTracker(hand, obj, TrackerConfig(estimator=config), device)
-        return lambda f: tracker.update(f.depth, f.camera, f.T_camera_hand, time=f.time_ns / NS)
+        return Following(PoseTracker(hand, obj, TrackerConfig(estimator=config), device))
     estimator = PoseEstimator(hand, obj, config, device)
     return lambda f: estimator.estimate(f.depth, f.camera, f.T_camera_hand)
 

@@ -37,7 +37,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,6 +136,17 @@ class BopImage:
     """When it was taken [s], in a sequence."""
 
 
+class Sensed(NamedTuple):
+    """What an estimator is given of an image."""
+
+    camera: Camera
+    """Intrinsics of the depth image."""
+    depth: NDArray[np.float32]
+    """Depth z [m], shape (H, W), 0 where there is no reading."""
+    T_camera_hand: Array | None
+    """Approximate wrist pose, shape (4, 4); None if the data set has no hand."""
+
+
 @dataclass(frozen=True)
 class HandInfo:
     """What `scene_hand.json` says about all images of a scene."""
@@ -184,6 +195,20 @@ def read_scene(scene: Path) -> SceneFiles:
     return _read_scene(scene, tuple(f.stat().st_mtime_ns for f in files if f.is_file()))
 
 
+def read_sensed(files: SceneFiles, image_id: int) -> Sensed:
+    """Read what an estimator is given of an image, and none of its ground truth.
+
+    Raises:
+        InputError: the scene does not have it, or a file is missing, broken or does not fit.
+    """
+    camera, hand = read_camera(files, image_id), _read_hand(files, image_id)
+    return Sensed(
+        camera=camera,
+        depth=read_depth(depth_path(files.folder, image_id), camera),
+        T_camera_hand=None if hand is None else hand.T_camera_hand_given,
+    )
+
+
 def read_image(scene: Path, image_id: int) -> BopImage:
     """Read one image of a scene.
 
@@ -201,7 +226,7 @@ def read_image(scene: Path, image_id: int) -> BopImage:
         rgb=read_rgb(scene, image_id, camera),
         hand=_read_hand(files, image_id),
         segmentation=_read_segmentation(scene, image_id, camera),
-        time=_read_time(files, image_id),
+        time=read_time(files, image_id),
     )
 
 
@@ -294,7 +319,7 @@ def read_frame(path: Path, name: str) -> Frame:
             visible_share=instance.visible_share,
         ),
         rgb=read_rgb(scene, image_id, camera),
-        time=_read_time(files, image_id),
+        time=read_time(files, image_id),
     )
 
 
@@ -405,7 +430,12 @@ def read_camera(files: SceneFiles, image_id: int) -> Camera:
         raise InputError(f"image {image_id} in {path}: {error!s}") from error
 
 
-def _read_time(files: SceneFiles, image_id: int) -> float | None:
+def read_time(files: SceneFiles, image_id: int) -> float | None:
+    """When an image was taken [s], in a sequence; None if that is not told.
+
+    Raises:
+        InputError: it is no number.
+    """
     path = files.folder / CAMERA
     time = _entry(files.camera, image_id, path).get("time")
     try:

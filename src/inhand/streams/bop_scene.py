@@ -1,10 +1,21 @@
 """A scene of a BOP data set as a source, such as the sequences of `inhand synth --sequence`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from inhand.datasets.bop import CAMERA, HAND, find_scenes, is_scene, read_image, read_scene
+from inhand.camera import Camera
+from inhand.datasets.bop import (
+    CAMERA,
+    HAND,
+    SceneFiles,
+    find_scenes,
+    is_scene,
+    read_camera,
+    read_scene,
+    read_sensed,
+    read_time,
+)
 from inhand.errors import InputError
 from inhand.streams.bag import BagKind
 from inhand.streams.config import StreamConfig
@@ -23,7 +34,8 @@ class BopScene:
         config: what to take instead of the scene's own.
 
     Raises:
-        InputError: `path` is a data set of several scenes, a file is broken, or there is no hand.
+        InputError: `path` is a data set of several scenes, a JSON file is broken, there is no
+            image that can be read, or no hand.
     """
 
     kind: BagKind | None = None
@@ -32,15 +44,14 @@ class BopScene:
         if not is_scene(path):
             scenes = ", ".join(map(str, find_scenes(path)[:10]))
             raise InputError(f"{path} is a BOP data set: name one of its scenes: {scenes}")
-        self.name, self._path, self._config = str(path), path, config
-        files = read_scene(path)
+        self.name, self._config = str(path), config
+        self._files = files = read_scene(path)
         if files.hand_info is None and config.T_camera_hand is None:
             raise InputError(f"{path} tells no wrist pose: it has no {HAND}; give --hand-pose FILE")
         self._images = sorted(files.truth)
-        self._camera = config.camera or read_image(path, self._images[0]).camera
-        told = [files.camera[image].get("time") for image in self._images]
-        seconds = [None if time is None else float(time) for time in told]
-        self._times = image_times(seconds, config.frame_rate, str(path / CAMERA))
+        self._camera = config.camera or _any_camera(files, self._images)
+        told = [read_time(files, image) for image in self._images]
+        self._times = image_times(told, config.frame_rate, str(path / CAMERA))
         self.count = len(self._images)
         wrist = path / HAND if config.T_camera_hand is None else "as given, for all images"
         self.description = (
@@ -60,13 +71,23 @@ class BopScene:
     def _frame(self, number: int, time_ns: int) -> Frame:
         T = self._config.T_camera_hand
         try:
-            image = read_image(self._path, number)
+            image = read_sensed(self._files, number)
         except InputError as error:
             return Frame(str(number), time_ns, FRAME_ID, self._camera, None, T, str(error))
-        if T is None and image.hand is not None:
-            T = image.hand.T_camera_hand_given
+        T = image.T_camera_hand if T is None else T
         camera = self._config.camera or image.camera
         return Frame(str(number), time_ns, FRAME_ID, camera, image.depth, T)
+
+
+def _any_camera(files: SceneFiles, images: Sequence[int]) -> Camera:
+    """The camera of the first image that can be read: a broken one will be reported in its turn."""
+    problem: InputError | None = None
+    for image in images:
+        try:
+            return read_camera(files, image)
+        except InputError as error:
+            problem = problem or error
+    raise problem or InputError(f"{files.folder} has no images")
 
 
 def has_scenes(path: Path) -> bool:

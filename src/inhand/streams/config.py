@@ -6,11 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
+from inhand.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
 class StreamConfig:
-    """How a source is read; None: as the source says."""
+    """How a source is read; None: as the source says.
+
+    Raises:
+        InputError: a time or a rate is not positive and finite.
+    """
 
     camera: Camera | None = None
     """Intrinsics and depth unit, instead of the source's own."""
@@ -37,6 +42,11 @@ class StreamConfig:
     """Width and height that a camera is asked for [pixel]."""
     patience: float = 5.0
     """A camera that sends nothing for this long is lost [s]."""
+
+    def __post_init__(self) -> None:
+        for name in ("longest_gap", "frame_rate", "patience"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"{name} must be positive, got {getattr(self, name):g}")
 
     @property
     def chosen_for_recordings(self) -> tuple[str, ...]:

@@ -172,11 +172,11 @@ def _count(counts: Counts, result: Result) -> Counts:
 
 def _finish(outputs: Sequence[Output], summary: Summary) -> None:
     """Finish all outputs, the first at the end: it then knows if another could not be."""
-    errors = []
+    errors: list[Exception] = []
     for output in reversed(outputs):
         try:
             output.finish(summary)
-        except InputError as error:
+        except Exception as error:  # raised again when the others are finished
             errors.append(error)
             summary = replace(summary, stopped=summary.stopped or str(error))
     if errors:

@@ -65,8 +65,11 @@ class StageControls:
 
     @property
     def rank(self) -> int:
-        """Rank of the chosen pose, from 0."""
-        return int(self._rank.value) - 1
+        """Rank of the chosen pose, from 0.
+
+        Never beyond the last pose: a browser may still speak of the stage before.
+        """
+        return min(int(self._rank.value), max(len(self.stage.poses), 1)) - 1
 
     def describe_pose(self, text: str) -> None:
         """Say something about the chosen pose, in Markdown."""
