@@ -38,9 +38,9 @@ FREE_COLUMNS = """() => {
   const free = [];
   for (let x = 0; x < innerWidth; x += 2)
     if (document.elementFromPoint(x, innerHeight / 2)?.tagName === "CANVAS") free.push(x);
-  return [Math.min(...free), Math.max(...free)];
+  return free.length ? [Math.min(...free), Math.max(...free)] : null;
 }"""
-"""Where no panel hides the 3D view, half-way down."""
+"""Where no panel hides the 3D view, half-way down; null while the page is being loaded."""
 SQUARE = 10
 """Edge of the squares that pictures are compared by [pixel]."""
 THREE_FRAMES = """() => new Promise(done => {
@@ -98,7 +98,7 @@ class ViserPage:
 
     def scene(self) -> Pixels:
         """The 3D view as it is now, without the panels beside it, shape (h, w, 3)."""
-        left, right = self.tab.evaluate(FREE_COLUMNS)
+        left, right = self.tab.wait_for_function(FREE_COLUMNS).json_value()
         height = self.tab.viewport_size["height"]
         clip = {"x": left, "y": 0, "width": right - left, "height": height}
         return _decoded(self.tab.screenshot(clip=clip))
