@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
-from inhand.streams.rotation import matrix, slerp
 from inhand.streams.source import NoPose
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class PoseTrack:
         times, values = self._in_order()
         after = int(np.searchsorted(times, time_ns))
         if after < len(times) and times[after] == time_ns:
-            return _transform(values[after, :3], values[after, 3:])
+            return _transform(values[after, :3], Rotation.from_quat(values[after, 3:]))
         if not 0 < after < len(times):
             raise NoPose(self._outside(time_ns, times))
         before = after - 1
@@ -67,7 +67,8 @@ class PoseTrack:
             )
         share = int(time_ns - times[before]) / gap
         a, b = values[before], values[after]
-        return _transform((1 - share) * a[:3] + share * b[:3], slerp(a[3:], b[3:], share))
+        turn = Slerp([0, 1], Rotation.from_quat([a[3:], b[3:]]))(share)
+        return _transform((1 - share) * a[:3] + share * b[:3], turn)
 
     def _in_order(self) -> tuple[NDArray[np.int64], Array]:
         if self._sorted is None:
@@ -87,7 +88,7 @@ class PoseTrack:
         return f"{self.name} is last told {(time_ns - times[-1]) / NS:.3f} s before this time"
 
 
-def _transform(position: Array, quaternion: Array) -> Array:
+def _transform(position: Array, rotation: Rotation) -> Array:
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = matrix(quaternion), position
+    T[:3, :3], T[:3, 3] = rotation.as_matrix(), position
     return T

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.store import Typestore
+from scipy.spatial.transform import Rotation
 
 from inhand.estimate import PoseEstimate
 from inhand.object_model import ObjectModel
 from inhand.streams.bag import BagKind
 from inhand.streams.ros_types import POSE
-from inhand.streams.rotation import from_matrix
 from inhand.streams.runner import Result
 from inhand.streams.vision_messages import DETECTIONS
 
@@ -109,7 +109,7 @@ class ResultMessages:
         return self._types["geometry_msgs/msg/Pose"](
             position=self._types["geometry_msgs/msg/Point"](*T[:3, 3].tolist()),
             orientation=self._types["geometry_msgs/msg/Quaternion"](
-                *from_matrix(T[:3, :3]).tolist()
+                *Rotation.from_matrix(T[:3, :3]).as_quat().tolist()
             ),
         )
 
