@@ -181,6 +181,29 @@ def moved(T: wp.mat44, x: Vector6, pivot: wp.vec3):
     )  # fmt: skip
 
 
+@wp.func
+def sample_residual(e: ObjectEvidence, p: wp.vec3, n: wp.vec3, width: float):
+    """Distance [m] of a posed model sample to the plane of the reading on its ray, and its weight.
+
+    The weight is 0 where the image does not show the sample, or shows the hand there.
+    """
+    facing = -wp.dot(n, p) / wp.length(p)
+    if facing < 0.15:
+        return 0.0, 0.0
+    pixel = pixel_of(e.view.camera, p)
+    if pixel < 0:
+        return 0.0, 0.0
+    d = e.view.depth[pixel]
+    if d <= 0.0 or wp.abs(d - p[2]) > width:
+        return 0.0, 0.0
+    hand = hand_depth_at(e, pixel)
+    if hand > 0.0 and wp.abs(hand - d) < 0.5 * e.near:
+        return 0.0, 0.0
+    r = (d / p[2] - 1.0) * wp.dot(n, p)
+    w = facing * redescending(r, width) * wp.max(0.0, wp.dot(n, e.view.normals[pixel]))
+    return r, w
+
+
 @wp.kernel
 def refine_poses(
     e: ObjectEvidence,
@@ -241,23 +264,10 @@ def refine_poses(
             for s in range(n_points):
                 p = wp.transform_point(T, points[s])
                 n = wp.transform_vector(T, normals[s])
-                facing = -wp.dot(n, p) / wp.length(p)
-                if facing < 0.15:
-                    continue
-                pixel = pixel_of(e.view.camera, p)
-                if pixel < 0:
-                    continue
-                d = e.view.depth[pixel]
-                if d <= 0.0 or wp.abs(d - p[2]) > width:
-                    continue
-                hand = hand_depth_at(e, pixel)
-                if hand > 0.0 and wp.abs(hand - d) < 0.5 * e.near:
-                    continue
-                r0 = (d / p[2] - 1.0) * wp.dot(n, p)
-                w = image_weight * facing * redescending(r0, width)
-                w = w * wp.max(0.0, wp.dot(n, e.view.normals[pixel]))
+                r0, w = sample_residual(e, p, n, width)
                 if w <= 0.0:
                     continue
+                w = image_weight * w
                 m = wp.cross(p - pivot, n)
                 j = Vector6(m[0], m[1], m[2], n[0], n[1], n[2])
                 for r in range(6):

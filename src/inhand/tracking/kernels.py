@@ -13,7 +13,7 @@ from inhand.kernels.hand_fit import (
     pixel_of,
     redescending,
 )
-from inhand.kernels.object_fit import ObjectEvidence, hand_depth_at
+from inhand.kernels.object_fit import ObjectEvidence, sample_residual
 
 wp.set_module_options({"enable_backward": False})
 
@@ -155,20 +155,6 @@ def object_terms(
     for s in range(block, n_points, n_blocks):
         p = wp.transform_point(T, points[s])
         n = wp.transform_vector(T, normals[s])
-        facing = -wp.dot(n, p) / wp.length(p)
-        if facing < 0.15:
-            continue
-        pixel = pixel_of(e.view.camera, p)
-        if pixel < 0:
-            continue
-        d = e.view.depth[pixel]
-        if d <= 0.0 or wp.abs(d - p[2]) > width:
-            continue
-        hand = hand_depth_at(e, pixel)
-        if hand > 0.0 and wp.abs(hand - d) < 0.5 * e.near:
-            continue
-        r = (d / p[2] - 1.0) * wp.dot(n, p)
-        w = image_weight * facing * redescending(r, width)
-        w = w * wp.max(0.0, wp.dot(n, e.view.normals[pixel]))
+        r, w = sample_residual(e, p, n, width)
         if w > 0.0:
-            add_term(terms, at, wp.cross(p - pivot, n), n, r, w)
+            add_term(terms, at, wp.cross(p - pivot, n), n, r, image_weight * w)
