@@ -8,7 +8,14 @@ same in parts: for a GPU, and for who changes the system between them.
 import warp as wp
 
 from inhand.kernels.hand_terms import TERMS, FitProblem, FitState, add_terms
-from inhand.kernels.kinematics import Twist, joint_twist, place_links, position_of, rigid, rotation_of
+from inhand.kernels.kinematics import (
+    Twist,
+    joint_twist,
+    place_links,
+    position_of,
+    rigid,
+    rotation_of,
+)
 
 wp.set_module_options({"enable_backward": False})
 

@@ -129,6 +129,72 @@ def score_configurations(
     seen[c] = open_area / area
 
 
+@wp.kernel
+def link_support(
+    view: DepthView,
+    rule: Visibility,
+    T_camera_link: wp.array(dtype=wp.mat44),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    start: wp.array(dtype=int),
+    most: int,
+    fields: Fields,
+    spheres: wp.array(dtype=wp.vec4),
+    apart: wp.array(dtype=int),
+    hand_depth: wp.array(dtype=float),
+    hand_link: wp.array(dtype=int),
+    hand_step: int,
+    sums: wp.array(dtype=wp.vec3),
+    first: int,
+):
+    """One work item a link: judgements of its camera-facing surface samples.
+
+    Args (beyond the obvious):
+        points, normals: surface samples of all links, link frames.
+        start: first sample of every link, and the end of the last.
+        most: about how many samples of a link are used.
+        fields, spheres: distance fields of the links and spheres that hold them, link frames [m].
+        apart: flat (L, L), whether two links belong to different parts of the hand; what another
+            part hides, or explains as well, is left out.
+        hand_depth, hand_link: rendered depth [m] of the hand and the link that it shows, -1 for
+            none, at every `hand_step`-th pixel.
+        sums: out, sums of the judgements, of the area that nothing hides, and of the area, for all
+            samples of the link.
+    """
+    k = first + wp.tid()
+    T = T_camera_link[k]
+    total = float(0.0)
+    open_area = float(0.0)
+    area = float(1.0e-6)
+    stride = wp.max(1, (start[k + 1] - start[k]) // most)
+    parts = k * spheres.shape[0]
+    for i in range(start[k], start[k + 1], stride):
+        p = wp.transform_point(T, points[i])
+        n = wp.transform_vector(T, normals[i])
+        facing = -wp.dot(n, p) / wp.length(p)
+        if facing < 0.1:
+            continue
+        area += facing
+        pixel = pixel_of(view.camera, p)
+        if pixel < 0:
+            continue
+        coarse = coarse_pixel(view.camera.width, hand_step, pixel)
+        shown = hand_link[coarse]
+        hidden = hand_depth[coarse] < p[2] + rule.tolerance
+        if hidden and shown >= 0 and apart[parts + shown] != 0:
+            continue
+        _distance, _gradient, other = nearest_body(
+            fields, spheres, T_camera_link, 0, apart, parts, p, rule.tolerance
+        )
+        if other >= 0:
+            continue
+        d = view.depth[pixel]
+        if d <= 0.0 or d > p[2] - rule.tolerance:
+            open_area += facing
+        total += facing * judge_point(view, rule, p, n, pixel)
+    sums[k] = float(stride) * wp.vec3(total, open_area, area)
+
+
 @wp.func
 def redescending(r: float, width: float):
     """Tukey's weight: 1 at zero, 0 from `width` on."""

@@ -184,5 +184,5 @@ class FitInProgress:
 
     def assemble(self) -> None:
         """Run `sums`."""
-        for launch in self.sums:
-            launch()
+        for run in self.sums:
+            run()

@@ -87,33 +87,6 @@ class FingerSearch:
             combined[joints] = q[score.argmax(), joints]
         return combined, T
 
-    def link_support(self, q: Array, T_camera_hand: Array) -> Array:
-        """Score of every finger link per share of it that nothing hides, (L,); 0 for palm links.
-
-        Args:
-            q: joint vector, shape (n,).
-            T_camera_hand: wrist pose, shape (4, 4).
-        """
-        support = np.zeros(len(self.hand.links))
-        poses = self._poses(q, T_camera_hand)
-        palm = self._palm(poses)
-        for finger, links in zip(self.packed.fingers, self.packed.finger_links, strict=True):
-            there = palm
-            for other in self.packed.fingers:
-                if other is not finger:
-                    there = self._beside(there, other, poses)
-            for link in links:
-                support[link.links] = self._support(link, q, T_camera_hand, there)
-        return support
-
-    def hand_support(self, q: Array, T_camera_hand: Array) -> float:
-        """Score of the whole hand per share of it that nothing hides; arguments as above."""
-        return self._support(self.packed.whole, q, T_camera_hand, None)
-
-    def _support(self, part: PackedPart, q: Array, T_camera_hand: Array, others: Any) -> float:
-        score, seen = self.visibility.score(part, q[None, part.joints], T_camera_hand[None], others)
-        return float(score[0]) / max(float(seen[0]), self.config.min_seen)
-
     def _range(self, finger: PackedPart) -> Array:
         """Configurations (c, k) all over a finger's range."""
         lower, upper = self.hand.lower[finger.joints], self.hand.upper[finger.joints]

@@ -3,24 +3,16 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from inhand.geometry import se3
-from inhand.kernels.hand_fit import Visibility
-from inhand.kernels.launch import launch
-from inhand.packed import PackedHand, device_poses
-from inhand.stages.articulated_fit import (
-    ArticulatedFit,
-    FitInProgress,
-    WristPrior,
-    depth_view,
-)
+from inhand.packed import PackedHand
+from inhand.stages.articulated_fit import ArticulatedFit, FitInProgress, WristPrior
+from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, moved, twist_between
-from inhand.tracking.kernels import link_support
 from inhand.tracking.track import Track
 
 ORIGIN = np.zeros(3)
@@ -125,22 +117,8 @@ def _certain_links(
 
     None if it does not support the hand as a whole.
     """
-    c, device = config.estimator.hand_state, hand.device
-    rule = Visibility()
-    rule.tolerance = max(c.fine_tolerance, c.noise_tolerance * observation.noise)
-    rule.violation, rule.missing, rule.hidden = c.violation, c.missing, c.hidden
-    links = len(hand.hand.links)
-    sums = wp.empty(links, dtype=wp.vec3, device=device)
-    launch(
-        link_support,
-        links,
-        [depth_view(observation), rule, device_poses(T_camera_link, device), hand.points]
-        + [hand.normals, wp.array(hand.point_start, dtype=int, device=device), c.fine_points, sums],
-        device,
-        work_per_item=c.fine_points,
-    )
-    score, seen, area = sums.numpy().T.astype(np.float64)
-    if score.sum() < c.min_hand_support * max(seen.sum(), c.min_seen * area.sum()):
+    c = config.estimator.hand_state
+    support = hand_support(observation, hand, T_camera_link, c)
+    if support.whole < c.min_hand_support:
         return None
-    supported = score > c.certain_support * np.maximum(seen, c.min_seen * area)
-    return np.asarray(supported | hand.is_palm)
+    return np.asarray((support.links > c.certain_support) | hand.is_palm)
