@@ -74,8 +74,14 @@ class FingerSearch:
             q: refined joint vectors, shape (s, n).
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
-        there, fingers = self._palm(self._poses(q[0], T_camera_hand[0])), self.packed.fingers
-        alone = [self.visibility.score(f, q[:, f.joints], T_camera_hand, there)[0] for f in fingers]
+        fingers, rule = self.packed.fingers, (self.config.fine_tolerance, self.config.fine_points)
+
+        def scores(finger: PackedPart, others: Any) -> Array:
+            joints = q[:, finger.joints]
+            return self.visibility.score(finger, joints, T_camera_hand, others, *rule)[0]
+
+        there = self._palm(self._poses(q[0], T_camera_hand[0]))
+        alone = [scores(finger, there) for finger in fingers]
         best = np.sum(alone, axis=0).argmax()
         T, combined = T_camera_hand[best], q[best].copy()
         order = np.argsort([-score.max() for score in alone])
@@ -83,7 +89,7 @@ class FingerSearch:
             joints, score = fingers[i].joints, alone[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(combined, T))
-                score, _ = self.visibility.score(fingers[i], q[:, joints], T_camera_hand, there)
+                score = scores(fingers[i], there)
             combined[joints] = q[score.argmax(), joints]
         return combined, T
 
