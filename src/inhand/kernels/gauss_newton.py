@@ -1,8 +1,6 @@
 """Gauss-Newton over wrist and joints, from the sums of `kernels.hand_terms`.
 
-`refine_states` does all iterations in one launch, a start after the other: on a CPU, whose few
-threads have a start each. `place_states`, `sum_terms`, `assemble_systems` and `take_steps` are the
-same in parts: for a GPU, and for who changes the system between them.
+A work item is a start of the fit: the few threads of a CPU have one each, for all its iterations.
 """
 
 import warp as wp
@@ -23,26 +21,22 @@ Matrix6 = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 
 
 @wp.func
-def place(problem: FitProblem, state: FitState, s: int):
-    """Bring joints and links of start `s` to where its joint positions and wrist put them."""
-    wrist = state.T_camera_hand[s]
-    place_links(problem.chain, state.q, wrist, s, state.T_camera_joint, state.T_camera_link)
-
-
-@wp.func
 def assemble(problem: FitProblem, state: FitState, s: int):
-    """Make the links' sums of start `s` one system H x = g over wrist and joints.
+    """Bring the links of start `s` to their places and make their sums one system H x = g.
 
     The parameters are rotation and translation of the wrist and the n independent joints. The twist
     of a link is that of the wrist plus those of the joints that carry it.
     """
     chain = problem.chain
     H, g, twists = state.H, state.g, state.twists
+    wrist_pose = state.T_camera_hand[s]
+    place_links(chain, state.q, wrist_pose, s, state.T_camera_joint, state.T_camera_link)
+    add_terms(problem, state, s)
     for i in range(g.shape[1]):
         g[s, i] = wp.float64(0.0)
         for j in range(g.shape[1]):
             H[s, i, j] = wp.float64(0.0)
-    wrist = position_of(state.T_camera_hand[s])
+    wrist = position_of(wrist_pose)
     for joint in range(chain.parent.shape[0]):
         twists[s, joint] = Twist()
         if problem.free[chain.source[joint]] != 0:
@@ -51,15 +45,14 @@ def assemble(problem: FitProblem, state: FitState, s: int):
     for link in range(links):
         A = Matrix6()
         b = Twist()
-        for block in range(problem.blocks):
-            k = ((s * problem.blocks + block) * links + link) * TERMS
-            for row in range(6):
-                for column in range(row, 6):
-                    A[row, column] += wp.float64(state.terms[k])
-                    k += 1
-            for row in range(6):
-                b[row] += wp.float64(state.terms[k])
+        k = (s * links + link) * TERMS
+        for row in range(6):
+            for column in range(row, 6):
+                A[row, column] = wp.float64(state.terms[k])
                 k += 1
+        for row in range(6):
+            b[row] = wp.float64(state.terms[k])
+            k += 1
         for row in range(6):
             g[s, row] = g[s, row] + b[row]
             for column in range(row):
@@ -164,28 +157,9 @@ def take_step(problem: FitProblem, state: FitState, s: int):
 
 
 @wp.kernel
-def place_states(problem: FitProblem, state: FitState, first: int):
-    """One work item a start: where its joints and links are."""
-    place(problem, state, first + wp.tid())
-
-
-@wp.kernel
-def sum_terms(problem: FitProblem, state: FitState, first: int):
-    """One work item a start and block of points: their sums."""
-    item = first + wp.tid()
-    add_terms(problem, state, item // problem.blocks, item % problem.blocks)
-
-
-@wp.kernel
 def assemble_systems(problem: FitProblem, state: FitState, first: int):
-    """One work item a start: its system, without priors."""
+    """One work item a start: its system, without priors, where its joints and wrist are."""
     assemble(problem, state, first + wp.tid())
-
-
-@wp.kernel
-def take_steps(problem: FitProblem, state: FitState, first: int):
-    """One work item a start: one step."""
-    take_step(problem, state, first + wp.tid())
 
 
 @wp.kernel
@@ -193,8 +167,5 @@ def refine_states(problem: FitProblem, state: FitState, first: int):
     """One work item a start: all its iterations."""
     s = first + wp.tid()
     for _ in range(problem.widths.shape[0]):
-        place(problem, state, s)
-        for block in range(problem.blocks):
-            add_terms(problem, state, s, block)
         assemble(problem, state, s)
         take_step(problem, state, s)

@@ -129,6 +129,11 @@ def score_configurations(
     seen[c] = open_area / area
 
 
+Support = wp.types.vector(length=5, dtype=float)
+"""Sums over camera-facing surface samples: the area; the judgements and the area that nothing hides
+of what no other part hides or explains; both of the rest."""
+
+
 @wp.kernel
 def link_support(
     view: DepthView,
@@ -144,7 +149,7 @@ def link_support(
     hand_depth: wp.array(dtype=float),
     hand_link: wp.array(dtype=int),
     hand_step: int,
-    sums: wp.array(dtype=wp.vec3),
+    sums: wp.array(dtype=Support),
     first: int,
 ):
     """One work item a link: judgements of its camera-facing surface samples.
@@ -155,17 +160,15 @@ def link_support(
         most: about how many samples of a link are used.
         fields, spheres: distance fields of the links and spheres that hold them, link frames [m].
         apart: flat (L, L), whether two links belong to different parts of the hand; what another
-            part hides, or explains as well, is left out.
+            part hides, or explains as well, is summed apart.
         hand_depth, hand_link: rendered depth [m] of the hand and the link that it shows, -1 for
             none, at every `hand_step`-th pixel.
-        sums: out, sums of the judgements, of the area that nothing hides, and of the area, for all
-            samples of the link.
+        sums: out, see `Support`, for all samples of the link.
     """
     k = first + wp.tid()
     T = T_camera_link[k]
-    total = float(0.0)
-    open_area = float(0.0)
-    area = float(1.0e-6)
+    sum = Support()
+    sum[0] = 1.0e-6
     stride = wp.max(1, (start[k + 1] - start[k]) // most)
     parts = k * spheres.shape[0]
     for i in range(start[k], start[k + 1], stride):
@@ -174,25 +177,24 @@ def link_support(
         facing = -wp.dot(n, p) / wp.length(p)
         if facing < 0.1:
             continue
-        area += facing
+        sum[0] += facing
         pixel = pixel_of(view.camera, p)
         if pixel < 0:
-            continue
-        coarse = coarse_pixel(view.camera.width, hand_step, pixel)
-        shown = hand_link[coarse]
-        hidden = hand_depth[coarse] < p[2] + rule.tolerance
-        if hidden and shown >= 0 and apart[parts + shown] != 0:
             continue
         _distance, _gradient, other = nearest_body(
             fields, spheres, T_camera_link, 0, apart, parts, p, rule.tolerance
         )
-        if other >= 0:
-            continue
+        coarse = coarse_pixel(view.camera.width, hand_step, pixel)
+        shown = hand_link[coarse]
+        hidden = shown >= 0 and hand_depth[coarse] < p[2] + rule.tolerance
+        at = int(1)
+        if other >= 0 or (hidden and apart[parts + wp.max(shown, 0)] != 0):
+            at = int(3)
+        sum[at] += facing * judge_point(view, rule, p, n, pixel)
         d = view.depth[pixel]
         if d <= 0.0 or d > p[2] - rule.tolerance:
-            open_area += facing
-        total += facing * judge_point(view, rule, p, n, pixel)
-    sums[k] = float(stride) * wp.vec3(total, open_area, area)
+            sum[at + 1] += facing
+    sums[k] = float(stride) * sum
 
 
 @wp.func

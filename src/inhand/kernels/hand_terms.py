@@ -9,7 +9,7 @@ from inhand.kernels.kinematics import Chain, Twist, position_of
 
 wp.set_module_options({"enable_backward": False})
 
-# Per block and link: 21 numbers of the symmetric 6x6 matrix, 6 of the right-hand side, the weight.
+# Per link: 21 numbers of the symmetric 6x6 matrix, 6 of the right-hand side, the weight.
 TERMS = 28
 
 
@@ -56,8 +56,6 @@ class FitProblem:
     """Width of the redescending weight in every iteration [m]."""
     stride: int
     """Every so-many-th point takes part."""
-    blocks: int
-    """Parts of the points, which are summed apart."""
 
 
 @wp.struct
@@ -74,7 +72,7 @@ class FitState:
     T_camera_link: wp.array(dtype=wp.mat44)
     """Flat (s * L)."""
     terms: wp.array(dtype=float)
-    """Sums over the points, flat (s, block, link, TERMS), about the wrist's origin."""
+    """Sums over the points, flat (s, link, TERMS), about the wrist's origin."""
     twists: wp.array2d(dtype=Twist)
     """Twist of what each joint carries per unit of its source, (s, j)."""
     H: wp.array3d(dtype=wp.float64)
@@ -109,13 +107,12 @@ def add_term(
 
 
 @wp.func
-def add_scene_terms(problem: FitProblem, state: FitState, start: int, block: int):
-    """Add the distances of a block of scene points to the nearest link's surface."""
+def add_scene_terms(problem: FitProblem, state: FitState, start: int):
+    """Add the distances of the scene points to the nearest link's surface."""
     links = problem.used.shape[0]
     c = wp.vec3(position_of(state.T_camera_hand[start]))
     width = problem.widths[state.iteration[start]]
-    stride = problem.stride
-    for i in range(block * stride, problem.points.shape[0], problem.blocks * stride):
+    for i in range(0, problem.points.shape[0], problem.stride):
         p = problem.points[i]
         distance, gradient, k = nearest_body(
             problem.fields, problem.spheres, state.T_camera_link, start * links,
@@ -127,18 +124,17 @@ def add_scene_terms(problem: FitProblem, state: FitState, start: int, block: int
         w = redescending(distance, width) * facing
         if w <= 0.0:
             continue
-        at = ((start * problem.blocks + block) * links + k) * TERMS
+        at = (start * links + k) * TERMS
         add_term(state.terms, at, wp.cross(p - c, gradient), gradient, distance, w)
 
 
 @wp.func
-def add_hand_terms(problem: FitProblem, state: FitState, start: int, block: int):
-    """Add the plane distances of a block of surface samples to the readings on their rays."""
+def add_hand_terms(problem: FitProblem, state: FitState, start: int):
+    """Add the plane distances of the surface samples to the readings on their rays."""
     links = problem.used.shape[0]
     c = wp.vec3(position_of(state.T_camera_hand[start]))
     width = problem.widths[state.iteration[start]]
-    stride = problem.stride
-    for i in range(block * stride, problem.hand_points.shape[0], problem.blocks * stride):
+    for i in range(0, problem.hand_points.shape[0], problem.stride):
         k = problem.hand_link[i]
         if problem.used[k] == 0:
             continue
@@ -161,16 +157,15 @@ def add_hand_terms(problem: FitProblem, state: FitState, start: int, block: int)
         w = facing * redescending(r, width) * agreement
         if w <= 0.0:
             continue
-        at = ((start * problem.blocks + block) * links + k) * TERMS
+        at = (start * links + k) * TERMS
         add_term(state.terms, at, wp.cross(p - c, n), n, r, w)
 
 
 @wp.func
-def add_terms(problem: FitProblem, state: FitState, start: int, block: int):
-    """Sum one block of the points, of the scene and of the hand."""
+def add_terms(problem: FitProblem, state: FitState, start: int):
+    """Sum over the points of the scene and of the hand."""
     size = problem.used.shape[0] * TERMS
-    item = start * problem.blocks + block
-    for k in range(item * size, (item + 1) * size):
+    for k in range(start * size, (start + 1) * size):
         state.terms[k] = 0.0
-    add_scene_terms(problem, state, start, block)
-    add_hand_terms(problem, state, start, block)
+    add_scene_terms(problem, state, start)
+    add_hand_terms(problem, state, start)

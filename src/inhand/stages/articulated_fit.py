@@ -7,7 +7,7 @@ that the image does not determine stay at the prior of the wrist pose. All itera
 device.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -26,8 +26,6 @@ from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
 
 Array = NDArray[np.float64]
-BLOCKS = 16
-Launch = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -104,59 +102,39 @@ class ArticulatedFit:
             widths: width of the redescending weight in every iteration [m].
             stride: every so-many-th point takes part.
         """
-        if self.hand.device != "cpu":
-            fit = self.begin(q, T_camera_hand, widths, stride)
-            for _ in widths:
-                fit.assemble()
-                fit.step()
-            return fit.q.numpy(), fit.T_camera_hand.numpy()
-        problem, state = self._start(q, T_camera_hand, widths, stride, blocks=1)
-        points = len(problem.points) + len(problem.hand_points)
-        work = 10 * len(widths) * points // stride
-        launch(kernels.refine_states, len(q), [problem, state], "cpu", work_per_item=work)
+        problem, state = self._start(q, T_camera_hand, widths, stride)
+        work = len(widths) * self._work(stride)
+        inputs = [problem, state]
+        launch(kernels.refine_states, len(q), inputs, self.hand.device, work_per_item=work)
         return state.q.numpy(), state.T_camera_hand.numpy()
 
-    def begin(
-        self, q: Array, T_camera_hand: Array, widths: Array, stride: int = 1
-    ) -> "FitInProgress":
-        """A refinement whose iterations are still to be done; arguments as `refine`."""
-        problem, state = self._start(q, T_camera_hand, widths, stride, blocks=BLOCKS)
-        work = (10 * len(problem.points) + 4 * len(problem.hand_points)) // BLOCKS // stride
-
-        def launches(kernel: Any, items: int, work: int = 1) -> Launch:
-            return prepare(kernel, items, [problem, state], self.hand.device, work_per_item=work)
-
-        return FitInProgress(
-            state.q,
-            state.T_camera_hand,
-            state.twists,
-            state.H,
-            state.g,
-            [
-                launches(kernels.place_states, len(q)),
-                launches(kernels.sum_terms, len(q) * BLOCKS, work),
-                launches(kernels.assemble_systems, len(q)),
-            ],
-            launches(kernels.take_steps, len(q)),
+    def begin(self, q: Array, T_camera_hand: Array, width: float, stride: int) -> "FitInProgress":
+        """A refinement that is done step by step; arguments as `refine`, of one width."""
+        problem, state = self._start(q, T_camera_hand, np.array([width]), stride)
+        inputs, work = [problem, state], self._work(stride)
+        assemble = prepare(
+            kernels.assemble_systems, len(q), inputs, self.hand.device, work_per_item=work
         )
+        return FitInProgress(state, assemble)
 
-    def _start(
-        self, q: Array, T_camera_hand: Array, widths: Array, stride: int, blocks: int
-    ) -> tuple[Any, Any]:
+    def _work(self, stride: int) -> int:
+        return (10 * len(self.problem.points) + 4 * len(self.problem.hand_points)) // stride
+
+    def _start(self, q: Array, T_camera_hand: Array, widths: Array, stride: int) -> tuple[Any, Any]:
         """Arguments of the kernels, for a refinement that is still to be done."""
         hand, device, starts, parameters = self.hand, self.hand.device, len(q), 6 + q.shape[1]
         links, joints = len(hand.hand.links), len(hand.hand.chain.parent)
         empty = partial(wp.empty, device=device)
         problem, state = self.problem, hand_terms.FitState()
         problem.widths = wp.array(widths, dtype=float, device=device)
-        problem.stride, problem.blocks = stride, blocks
+        problem.stride = stride
         problem.information = stride * self.point_information
         state.q = wp.array(q, dtype=wp.float64, device=device)
         state.T_camera_hand = wp.array(T_camera_hand, dtype=wp.mat44d, device=device)
         state.iteration = wp.zeros(starts, dtype=int, device=device)
         state.T_camera_joint = empty((starts, joints), dtype=wp.mat44d)
         state.T_camera_link = empty(starts * links, dtype=wp.mat44)
-        state.terms = empty(starts * blocks * links * hand_terms.TERMS, dtype=float)
+        state.terms = empty(starts * links * hand_terms.TERMS, dtype=float)
         state.twists = empty((starts, joints), dtype=Twist)
         state.H = empty((starts, parameters, parameters), dtype=wp.float64)
         state.g = empty((starts, parameters), dtype=wp.float64)
@@ -165,24 +143,9 @@ class ArticulatedFit:
 
 @dataclass(frozen=True)
 class FitInProgress:
-    """What a refinement changes, on the device, and the launches of one iteration in order."""
+    """A refinement between its steps."""
 
-    q: Any
-    """Joint vectors [rad, m], (s, n)."""
-    T_camera_hand: Any
-    """Wrist poses, (s)."""
-    twists: Any
-    """Twists of the joints, see `kernels.hand_terms.FitState`, (s, j)."""
-    H: Any
-    """Matrices of the systems, (s, 6 + n, 6 + n)."""
-    g: Any
-    """Right-hand sides, (s, 6 + n)."""
-    sums: Sequence[Launch]
-    """Make the systems, without priors, where joints and wrists are."""
-    step: Launch
-    """Solve the systems with their priors and move joints and wrists."""
-
-    def assemble(self) -> None:
-        """Run `sums`."""
-        for run in self.sums:
-            run()
+    state: Any
+    """What it changes, on the device, `kernels.hand_terms.FitState`."""
+    assemble: Callable[[], None]
+    """Makes the systems `state.H` x = `state.g`, without priors, where joints and wrists are."""

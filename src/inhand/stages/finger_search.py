@@ -36,6 +36,7 @@ class FingerSearch:
         self.scale[slides] = config.slide_scale
         self.camera = observation.camera.subsampled(config.render_step)
         self.visibility = HandVisibility(observation, hand, config)
+        self._palm_depth: Any = None
 
     def alternatives(
         self, T_camera_hand: Array, rng: np.random.Generator
@@ -47,7 +48,7 @@ class FingerSearch:
         before it, among its better configurations.
         """
         fingers, q = self.packed.fingers, self.hand.rest.copy()
-        there = self._palm(self._poses(q, T_camera_hand))
+        there = self._palm(q, T_camera_hand)
         found = [self._range(finger) for finger in fingers]
         scores = [
             self._coarse_score(finger, tried, T_camera_hand, there)
@@ -80,7 +81,7 @@ class FingerSearch:
             joints = q[:, finger.joints]
             return self.visibility.score(finger, joints, T_camera_hand, others, *rule)[0]
 
-        there = self._palm(self._poses(q[0], T_camera_hand[0]))
+        there = self._palm(q[0], T_camera_hand[0])
         alone = [scores(finger, there) for finger in fingers]
         best = np.sum(alone, axis=0).argmax()
         T, combined = T_camera_hand[best], q[best].copy()
@@ -134,9 +135,15 @@ class FingerSearch:
         """Link poses (L, 4, 4) at joint vector (n,)."""
         return np.asarray(self.packed.whole.pose(q[None], T_camera_hand[None]).numpy())
 
-    def _palm(self, T_camera_link: NDArray[np.float32]) -> Any:
-        """Depth [m] of the palm, on the device."""
-        return self.packed.render(self.camera, T_camera_link, self.packed.is_palm)
+    def _palm(self, q: Array, T_camera_hand: Array) -> Any:
+        """Depth [m] of the palm, on the device.
+
+        It is rendered once: what the wrist moves in its refinement is less than a pixel here.
+        """
+        if self._palm_depth is None:
+            poses = self._poses(q, T_camera_hand)
+            self._palm_depth = self.packed.render(self.camera, poses, self.packed.is_palm)
+        return self._palm_depth
 
     def _beside(self, others: Any, finger: PackedPart, T_camera_link: NDArray[np.float32]) -> Any:
         """Depth [m] of a finger and of what else is there, on the device."""

@@ -8,6 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import HandStateConfig
+from inhand.kernels import hand_fit
 from inhand.kernels.hand_fit import Visibility, link_support, score_configurations
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, PackedPart, device_poses
@@ -101,7 +102,7 @@ def hand_support(
     coarse = observation.camera.subsampled(config.render_step)
     shown = wp.full(coarse.width * coarse.height, -1, dtype=int, device=device)
     depth = hand.render(coarse, T_camera_link, np.ones(count, dtype=bool), link=shown)
-    sums = wp.empty(count, dtype=wp.vec3, device=device)
+    sums = wp.empty(count, dtype=hand_fit.Support, device=device)
     launch(
         link_support,
         count,
@@ -111,11 +112,10 @@ def hand_support(
         device,
         work_per_item=config.fine_points,
     )
-    score, seen, area = sums.numpy().astype(np.float64).T
+    area, score, seen, other_score, other_seen = sums.numpy().astype(np.float64).T
     least = config.min_seen * area
-    return Support(
-        score / np.maximum(seen, least), float(score.sum() / max(seen.sum(), least.sum()))
-    )
+    whole = (score + other_score).sum() / max((seen + other_seen).sum(), least.sum())
+    return Support(score / np.maximum(seen, least), float(whole))
 
 
 def _rule(config: HandStateConfig, tolerance: float) -> Any:

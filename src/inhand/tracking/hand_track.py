@@ -63,15 +63,15 @@ def follow_hand(
     T, q = track.T_camera_hand, track.joint_vector
     for _ in range(c.iterations):
         fit.assemble()
-        H = c.stride * c.point_information * fit.H.numpy()[0] + prior + anchor
-        g = c.stride * c.point_information * fit.g.numpy()[0]
+        H = c.stride * c.point_information * fit.state.H.numpy()[0] + prior + anchor
+        g = c.stride * c.point_information * fit.state.g.numpy()[0]
         g += prior @ _way(T, q, track.T_camera_hand, track.joint_vector)
         g += anchor @ _way(T, q, track.given, q)
         step = np.linalg.solve(H, g)
         T = moved(T, step[:6], ORIGIN)
         q = np.clip(q + step[6:], hand.hand.lower, hand.hand.upper)
-        fit.T_camera_hand.assign(T[None])
-        fit.q.assign(q[None])
+        fit.state.T_camera_hand.assign(T[None])
+        fit.state.q.assign(q[None])
     T_camera_link = hand.link_poses(q[None], T[None])[0]
     certain = _certain_links(observation, hand, T_camera_link, config)
     if certain is None:
@@ -93,8 +93,7 @@ def _fit_from(
         point_information=c.point_information,
         joint_damping=1.0,
     )
-    widths = np.array([c.width])
-    return fit.begin(track.joint_vector[None], track.T_camera_hand[None], widths, c.stride)
+    return fit.begin(track.joint_vector[None], track.T_camera_hand[None], c.width, c.stride)
 
 
 def _hidden(hand: PackedHand, track: Track) -> FollowedHand:
