@@ -118,7 +118,7 @@ def score(
         [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
         + [stride, float(weights.sum()) + 1e-6, worth, out],
         obj.device,
-        work_per_item=n + len(weights),
+        work_per_item=4 * (n + len(weights)),
     )
     return np.asarray(out.numpy())
 
@@ -201,6 +201,6 @@ def clearances(
         [T_camera_object, obj.points, points, hand.fields, hand.spheres]
         + [device_poses(hand_state.T_camera_link, device), farthest, clearance],
         device,
-        work_per_item=points,
+        work_per_item=4 * points,
     )
     return np.asarray(clearance.numpy().reshape(count, links))

@@ -66,7 +66,7 @@ class HandVisibility:
             + [config.hopeless, self._nothing if others is None else others, config.render_step]
             + [score, seen],
             device,
-            work_per_item=samples,
+            work_per_item=2 * samples,
         )
         return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)
 

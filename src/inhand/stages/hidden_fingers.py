@@ -71,6 +71,6 @@ def _clearances(
         + [len(joints), finger.points, finger.link, samples]
         + [c.free_finger_gap + c.finger_gap_scale, clearance],
         device,
-        work_per_item=samples,
+        work_per_item=4 * samples,
     )
     return np.asarray(clearance.numpy().reshape(m, len(joints)))

@@ -71,6 +71,6 @@ def fit_to_field(
         + [wp.vec3(*obj.model.centre.tolist()), 0.5 * obj.model.diameter]
         + [iterations, *widths, evidence.stride(points), image_weight, refined],
         obj.device,
-        work_per_item=iterations * (points + n),
+        work_per_item=5 * iterations * (points + n),
     )
     return np.asarray(refined.numpy())
