@@ -469,6 +469,27 @@ class SelectionConfig(Section):
 
 
 @dataclass(frozen=True)
+class SecondLookConfig(Section):
+    """Trying other hands when the answer is unsure: what was taken for the object may be a finger
+    that was missed."""
+
+    below: Share = 0.6
+    """An answer of a smaller confidence is looked at again; 0: none is."""
+    points: int = 600
+    """About so many segment points are held against the fingers."""
+    near: float = 0.006
+    """A segment point this near to a finger's surface starts to be explained by it [m]."""
+    promising: Share = 0.25
+    """A finger that explains less of the segment, wherever the image allows it, is not refined."""
+    explained: Share = 0.5
+    """A finger that explains less of the segment afterwards is no answer."""
+    link_explained: Share = 0.1
+    """A link that explains more of the segment is relied on."""
+    iterations: int = 10
+    """Gauss-Newton iterations of a hand."""
+
+
+@dataclass(frozen=True)
 class EstimatorConfig(Section):
     """All parameters of `PoseEstimator`."""
 
@@ -484,6 +505,7 @@ class EstimatorConfig(Section):
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     pruning: PruningConfig = field(default_factory=PruningConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
+    second_look: SecondLookConfig = field(default_factory=SecondLookConfig)
 
     @classmethod
     def paper(cls, seed: int = 0) -> "EstimatorConfig":
