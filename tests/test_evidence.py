@@ -10,9 +10,9 @@ from inhand.geometry.se3 import exp, transform
 from inhand.packed import device_poses
 from inhand.stages.evidence import (
     Evidence,
+    agreement,
     contact_penalty,
     gather_evidence,
-    score,
     score_with_contact,
 )
 from inhand.stages.results import HandState
@@ -148,7 +148,7 @@ def test_the_score_with_contact_is_the_score_less_the_penalty() -> None:
     T = around(scene, 40)
     evidence = evidence_of(scene)
     found = score_with_contact(evidence, scene.obj, T, SAMPLES)
-    plain = score(evidence, scene.obj, device_poses(T, "cpu"), SAMPLES)
+    plain = agreement(evidence, scene.obj, device_poses(T, "cpu"), SAMPLES).sum(axis=1)
     np.testing.assert_allclose(found, plain - penalties(scene, T, points=200), atol=1e-6)
 
 

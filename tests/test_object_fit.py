@@ -21,7 +21,7 @@ from inhand.kernels.launch import launch
 from inhand.kernels.object_fit import Matrix6, ObjectEvidence, Vector6
 from inhand.object_model import ObjectModel
 from inhand.packed import PackedObject, device_poses
-from inhand.stages.evidence import Evidence, gather_evidence, score
+from inhand.stages.evidence import Evidence, agreement, gather_evidence
 from inhand.stages.observation import Observation, observe
 from inhand.stages.refinement import fit_to_field, refine
 from inhand.stages.results import HandState, PoseSet, Segment
@@ -116,7 +116,8 @@ FINE = ClusteringConfig(model_points=1000, segment_points=10_000, tolerance=TOLE
 def scored(
     evidence: Evidence, obj: PackedObject, T: np.ndarray, worth: float = -np.inf, **samples: Any
 ) -> np.ndarray:
-    return score(evidence, obj, device_poses(T, "cpu"), replace(FINE, **samples), worth)
+    found = agreement(evidence, obj, device_poses(T, "cpu"), replace(FINE, **samples), worth)
+    return found.sum(axis=1)
 
 
 def frontal_area(obj: PackedObject, z: float) -> float:

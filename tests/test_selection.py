@@ -109,6 +109,36 @@ def test_a_rival_makes_the_answer_less_certain() -> None:
     assert variant == alone
 
 
+def test_a_pose_within_the_hand_is_less_certain() -> None:
+    """The same pose in the same image, with the hand's links where they run into it."""
+    scene = held_object("industrial_part")
+    links = scene.hand_state.T_camera_link.copy()
+    links[:, :3, 3] += 0.3 * (scene.T_camera_object[:3, 3] - links[:, :3, 3])
+    inside = replace(scene, hand_state=replace(scene.hand_state, T_camera_link=links))
+    poses, blind = scene.T_camera_object[None], replace(CONFIG, confidence_contact=1e-6)
+    assert selected(inside, poses).confidence < 0.5 * selected(inside, poses, blind).confidence
+
+
+def test_a_pose_that_explains_less_of_the_segment_is_less_certain() -> None:
+    scene = held_object("industrial_part")
+    segment, elsewhere = (
+        scene.segment,
+        scene.segment.points + np.array([0.05, 0, 0], dtype=np.float32),
+    )
+    twice = replace(
+        segment,
+        points=np.concatenate([segment.points, elsewhere]),
+        normals=np.tile(segment.normals, (2, 1)),
+        hand_distance=np.tile(segment.hand_distance, 2),
+        weight=np.tile(segment.weight, 2),
+    )
+    whole, half = (
+        selected(replace(scene, segment=s), scene.T_camera_object[None]).confidence
+        for s in (segment, twice)
+    )
+    assert half < whole
+
+
 def test_no_pose_gives_no_confidence() -> None:
     found = selected(held_object("cuboid"), np.zeros((0, 4, 4)))
     assert len(found.poses) == 0

@@ -450,16 +450,43 @@ class SelectionConfig(Section):
     """A pose whose surface is farther from the first one's on average is a rival [m]."""
     max_lead: float = 0.3
     """A larger lead in score over the best rival says nothing more."""
-    confidence_bias: Real = -1.6
-    """Log odds that a pose of score 0 without a lead is right. This and the two below are a
-    logistic regression over 415 frames of two hands with twelve objects and, at a quarter of the
-    weight, 107 of them with the model of another object."""
-    confidence_fit: float = 2.2
-    """Log odds per unit of score."""
-    confidence_lead: float = 2.8
+    max_visible: Real = 0.1
+    """A larger score of what the camera sees of the first pose says nothing more."""
+    confidence_bias: Real = -1.2
+    """Log odds that a pose without agreement or lead is right. This and the four below are a
+    logistic regression over 1,607 frames of three hands with twelve objects and, at 0.15 of the
+    weight, 796 with the model of another object."""
+    confidence_visible: float = 11.5
+    """Log odds per unit of the score of what the camera sees."""
+    confidence_explained: float = 1.1
+    """Log odds per unit of the score of what the pose explains of the segment."""
+    confidence_contact: float = 7.4
+    """Log odds taken away per unit of the contact penalty."""
+    confidence_lead: float = 5.5
     """Log odds per unit of the lead's square root."""
     candidates: int = 10
     """Ranked alternatives reported."""
+
+
+@dataclass(frozen=True)
+class SecondLookConfig(Section):
+    """Trying other hands when the answer is unsure: what was taken for the object may be a finger
+    that was missed."""
+
+    below: Share = 0.6
+    """An answer of a smaller confidence is looked at again; 0: none is."""
+    points: int = 600
+    """About so many segment points are held against the fingers."""
+    near: float = 0.006
+    """A segment point this near to a finger's surface starts to be explained by it [m]."""
+    promising: Share = 0.25
+    """A finger that explains less of the segment, wherever the image allows it, is not refined."""
+    explained: Share = 0.5
+    """A finger that explains less of the segment afterwards is no answer."""
+    link_explained: Share = 0.1
+    """A link that explains more of the segment is relied on."""
+    iterations: int = 10
+    """Gauss-Newton iterations of a hand."""
 
 
 @dataclass(frozen=True)
@@ -478,6 +505,7 @@ class EstimatorConfig(Section):
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     pruning: PruningConfig = field(default_factory=PruningConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
+    second_look: SecondLookConfig = field(default_factory=SecondLookConfig)
 
     @classmethod
     def paper(cls, seed: int = 0) -> "EstimatorConfig":

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -26,6 +27,7 @@ from inhand.stages.observation import Observation, observe
 from inhand.stages.pruning import prune
 from inhand.stages.refinement import refine
 from inhand.stages.results import HandState, PoseSet, Segment, Selection, Wrist
+from inhand.stages.second_look import hands_in_segment
 from inhand.stages.segmentation import segment_object
 from inhand.stages.selection import select
 from inhand.stages.wrist import fit_wrist
@@ -49,6 +51,11 @@ class StageResults:
     refined: PoseSet | None = None
     pruned: PoseSet | None = None
     selection: Selection | None = None
+
+    @property
+    def confidence(self) -> float:
+        """Confidence of the selected pose, 0 without one."""
+        return self.selection.confidence if self.selection else 0.0
 
 
 class PoseEstimator:
@@ -133,6 +140,36 @@ class PoseEstimator:
             "hand_state", estimate_hand_state, observation, wrist, hand, c.hand_state, c.wrist, rng
         )
         yield (r := replace(r, hand_state=state))
+
+        best = r
+        for reached in self._object_stages(r, observation, state, clock, rng):
+            yield (best := reached)
+        if best.segment is not None and best.confidence < c.second_look.below:
+            for other in clock.time(
+                "second_look", hands_in_segment, observation, state, best.segment, hand, c
+            ):
+                again = self._second_look(r, observation, other, clock, rng)
+                if again.confidence > best.confidence:
+                    yield (best := again)
+
+    def _second_look(self, r: StageResults, *args: Any) -> StageResults:
+        """The object stages' results with another hand, as far as they come."""
+        with suppress(NoAnswer):
+            for reached in self._object_stages(r, *args):
+                r = reached
+        return r
+
+    def _object_stages(
+        self,
+        r: StageResults,
+        observation: Observation,
+        state: HandState,
+        clock: "Clock",
+        rng: np.random.Generator,
+    ) -> Iterator[StageResults]:
+        """The stages that follow the hand's, as `_stages`."""
+        c, hand, obj = self.config, self.hand, self.object
+        diameter, r = obj.model.diameter, replace(r, hand_state=state)
 
         segment = clock.time(
             "segmentation", segment_object, observation, state, hand, diameter, c.segmentation
@@ -257,4 +294,5 @@ class Clock:
         try:
             return function(*args)
         finally:
-            self.seconds[stage] = time.perf_counter() - start
+            taken = time.perf_counter() - start
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + taken

@@ -223,3 +223,32 @@ def hand_distances(
         fields, spheres, T_camera_link, 0, used, 0, points[i], farthest
     )
     distance[i] = nearest
+
+
+@wp.kernel
+def explained_weights(
+    points: wp.array(dtype=wp.vec3),
+    weights: wp.array(dtype=float),
+    fields: Fields,
+    spheres: wp.array(dtype=wp.vec4),
+    T_camera_link: wp.array(dtype=wp.mat44),
+    used: wp.array(dtype=int),
+    near: float,
+    explained: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a hand state: weight of the points within `near` of its surface [m].
+
+    Args (beyond the obvious):
+        T_camera_link: link poses of all hand states, flat (c * L).
+        used: per link; 0 leaves it out.
+        explained: out; a point counts less the farther away it is.
+    """
+    c = first + wp.tid()
+    total = float(0.0)
+    for i in range(points.shape[0]):
+        distance, _gradient, _link = nearest_body(
+            fields, spheres, T_camera_link, c * spheres.shape[0], used, 0, points[i], near
+        )
+        total += weights[i] * wp.max(0.0, 1.0 - wp.abs(distance) / near)
+    explained[c] = total

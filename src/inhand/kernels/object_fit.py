@@ -113,7 +113,7 @@ def score_poses(
     segment_stride: int,
     segment_weight: float,
     worth: float,
-    score: wp.array(dtype=float),
+    agreement: wp.array(dtype=wp.vec2),
     first: int,
 ):
     """One work item a pose: how well it explains the image and the segment.
@@ -123,13 +123,14 @@ def score_poses(
         segment_stride: every how many segment points one is used.
         segment_weight: sum of the weights of these.
         worth: a pose that is certain to score less is left with some score below this.
+        agreement: out, scores of what is seen and of the explained share, whose sum is the score.
     """
     i = first + wp.tid()
     T = T_camera_object[i]
     seen = visible_score(e, rule, T, points, normals, n_points)
     least = (worth - seen) / wp.max(e.share_weight, 1.0e-6)
     share = explained_share(e, T, fields, segment_stride, segment_weight, least)
-    score[i] = seen + e.share_weight * share
+    agreement[i] = wp.vec2(seen, e.share_weight * share)
 
 
 @wp.func

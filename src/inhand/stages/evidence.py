@@ -89,23 +89,23 @@ def gather_evidence(
     return Evidence(e, weights, hand, hand_state, config)
 
 
-def score(
+def agreement(
     evidence: Evidence,
     obj: PackedObject,
     T_camera_object: Any,
     samples: Samples,
     worth: float = -np.inf,
 ) -> NDArray[np.float32]:
-    """Scores, shape (m,), of poses.
+    """Scores, shape (m, 2): of what the camera sees of poses, and of what segment they explain.
 
     Args:
         evidence: the evidence.
         obj: the object.
         T_camera_object: poses on the device, `wp.array` of `wp.mat44`.
         samples: how finely to score.
-        worth: poses that score less get some score below this.
+        worth: poses that score less together get some scores whose sum is below this.
     """
-    out = wp.empty(len(T_camera_object), dtype=float, device=obj.device)
+    out: Any = wp.empty(len(T_camera_object), dtype=wp.vec2, device=obj.device)
     rule, config = Visibility(), evidence.config
     rule.tolerance, rule.violation = samples.tolerance, config.violation
     rule.missing, rule.hidden = config.missing, config.hidden
@@ -130,8 +130,9 @@ def score_with_contact(
     samples: Samples,
     worth: float = -np.inf,
 ) -> NDArray[np.float32]:
-    """Scores, shape (m,), of poses (m, 4, 4): as `score`, less the `contact_penalty`."""
-    scores = score(evidence, obj, device_poses(T_camera_object, obj.device), samples, worth)
+    """Scores, shape (m,), of poses (m, 4, 4): their `agreement`, less the `contact_penalty`."""
+    poses = device_poses(T_camera_object, obj.device)
+    scores = agreement(evidence, obj, poses, samples, worth).sum(axis=1)
     # Contact only takes away: what is below already stays there.
     left = np.flatnonzero(scores >= worth)
     poses = device_poses(T_camera_object[left], obj.device)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from inhand.config import SelectionConfig
-from inhand.packed import PackedHand, PackedObject
+from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.clustering import distinct_poses, surface_distances_to
-from inhand.stages.evidence import Evidence, score_with_contact
+from inhand.stages.evidence import Evidence, agreement, contact_penalty, score_with_contact
 from inhand.stages.hidden_fingers import place_hidden_fingers
 from inhand.stages.observation import Observation
 from inhand.stages.render_selection import select_by_rendering
@@ -32,18 +32,19 @@ def select(
     """
     if config.method == "render":
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
-        return Selection(ranked, _confidence(ranked, obj, config), hand_state.joint_vector)
-    scores = score_with_contact(evidence, obj, poses.T_camera_object, config)
-    ranked = distinct_poses(
-        PoseSet(poses.T_camera_object, scores), obj, config.merge_distance, len(poses)
-    )
-    ranked, joint_vector = place_hidden_fingers(ranked, evidence, obj, config)
-    confidence = _confidence(ranked, obj, config)
+        joint_vector = hand_state.joint_vector
+    else:
+        scores = score_with_contact(evidence, obj, poses.T_camera_object, config)
+        scored = PoseSet(poses.T_camera_object, scores)
+        ranked = distinct_poses(scored, obj, config.merge_distance, len(poses))
+        ranked, joint_vector = place_hidden_fingers(ranked, evidence, obj, config)
     candidates = ranked.take(np.arange(min(config.candidates, len(ranked))))
-    return Selection(candidates, confidence, joint_vector)
+    return Selection(candidates, _confidence(ranked, evidence, obj, config), joint_vector)
 
 
-def _confidence(ranked: PoseSet, obj: PackedObject, config: SelectionConfig) -> float:
+def _confidence(
+    ranked: PoseSet, evidence: Evidence, obj: PackedObject, config: SelectionConfig
+) -> float:
     """Probability that the first pose is right: how well it fits, and its lead over any rival.
 
     A rival is a pose whose surface lies elsewhere; slight variants of the first pose are none.
@@ -53,9 +54,14 @@ def _confidence(ranked: PoseSet, obj: PackedObject, config: SelectionConfig) -> 
     apart = surface_distances_to(ranked.T_camera_object, ranked.T_camera_object[0], obj, 0.1)
     rivals = ranked.score[apart > config.rival_distance]
     lead = float(ranked.score[0] - rivals.max()) if len(rivals) else config.max_lead
+    first = device_poses(ranked.T_camera_object[:1], obj.device)
+    visible, explained = agreement(evidence, obj, first, config)[0]
     logit = (
         config.confidence_bias
-        + config.confidence_fit * float(ranked.score[0])
+        + config.confidence_visible * min(float(visible), config.max_visible)
+        + config.confidence_explained * float(explained)
         + config.confidence_lead * math.sqrt(min(max(lead, 0.0), config.max_lead))
+        - config.confidence_contact
+        * float(contact_penalty(evidence, obj, first, config.contact_points)[0])
     )
     return 1 / (1 + math.exp(-max(min(logit, 50.0), -50.0)))

@@ -1,0 +1,94 @@
+"""Other hands that the image may show: a finger without support explains the object segment."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from inhand.config import EstimatorConfig, SecondLookConfig
+from inhand.kernels.hand_fit import explained_weights
+from inhand.kernels.launch import launch
+from inhand.packed import PackedHand, device_poses
+from inhand.stages.articulated_fit import ArticulatedFit
+from inhand.stages.observation import Observation
+from inhand.stages.results import HandState, Segment
+from inhand.stages.wrist import wrist_prior
+
+Array = NDArray[np.float64]
+
+
+def hands_in_segment(
+    observation: Observation,
+    hand_state: HandState,
+    segment: Segment,
+    hand: PackedHand,
+    config: EstimatorConfig,
+) -> list[HandState]:
+    """Hand states in which one finger explains most of what was taken for the object.
+
+    A finger of which little shows may have been missed, and is then part of the segment. Of the
+    configurations that the image allows, the one that explains most of the segment is refined.
+    """
+    look, fit = config.second_look, _fit(observation, hand, config)
+    widths = np.geomspace(
+        config.hand_state.first_width, config.hand_state.last_width, look.iterations
+    )
+    found = []
+    for finger, allowed in zip(hand.fingers, hand_state.allowed, strict=False):
+        if hand_state.certain[finger.links].all():
+            continue
+        q = np.repeat(hand_state.joint_vector[None], len(allowed.joints), 0)
+        q[:, finger.joints] = allowed.joints
+        poses = hand.link_poses(q, hand_state.T_camera_hand[None])
+        explained = _explained(poses, finger.links, segment, hand, look)
+        best = explained.argmax()
+        if explained[best] < look.promising:
+            continue
+        q, T = fit.refine(q[best][None], hand_state.T_camera_hand[None], widths)
+        poses = hand.link_poses(q, T)
+        if _explained(poses, finger.links, segment, hand, look)[0] < look.explained:
+            continue
+        certain = hand_state.certain.copy()
+        for link in finger.links:
+            if _explained(poses, link, segment, hand, look)[0] > look.link_explained:
+                certain[link] = True
+        found.append(HandState(q[0], T[0], poses[0], certain, hand_state.allowed))
+    return found
+
+
+def _fit(observation: Observation, hand: PackedHand, config: EstimatorConfig) -> ArticulatedFit:
+    return ArticulatedFit(
+        observation,
+        hand,
+        used=np.ones(len(hand.hand.links), dtype=bool),
+        free=np.ones(len(hand.hand.joint_names), dtype=bool),
+        prior=wrist_prior(observation, config.wrist),
+        point_information=config.hand_state.point_information,
+        joint_damping=config.hand_state.joint_damping,
+    )
+
+
+def _explained(
+    T_camera_link: Array,
+    links: NDArray[np.intp] | int,
+    segment: Segment,
+    hand: PackedHand,
+    config: SecondLookConfig,
+) -> NDArray[np.float32]:
+    """Shares (c,) of the segment's weight at the surface of some links posed at (c, L, 4, 4)."""
+    device = hand.device
+    stride = max(1, len(segment.points) // config.points)
+    weights = segment.weight[::stride]
+    used = np.zeros(len(hand.hand.links), dtype=np.int32)
+    used[links] = 1
+    out = wp.empty(len(T_camera_link), dtype=float, device=device)
+    launch(
+        explained_weights,
+        len(out),
+        [wp.array(segment.points[::stride], dtype=wp.vec3, device=device)]
+        + [wp.array(weights, dtype=float, device=device), hand.fields, hand.spheres]
+        + [device_poses(T_camera_link, device), wp.array(used, dtype=int, device=device)]
+        + [config.near, out],
+        device,
+        work_per_item=10 * len(weights),
+    )
+    return np.asarray(out.numpy()) / weights.sum()

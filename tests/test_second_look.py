@@ -1,0 +1,108 @@
+"""A finger that the image did not seem to support explains what was taken for the object."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from held_object import HeldObject, Q, held_object
+
+from inhand import EstimatorConfig, PoseEstimator
+from inhand.config import SecondLookConfig
+from inhand.stages.results import Configurations, HandState, Segment
+from inhand.stages.second_look import hands_in_segment
+from inhand.synth.scene import Scene
+
+CONFIG = EstimatorConfig()
+FINGER = 0
+
+
+def missed_finger(scene: HeldObject, seed: int = 0) -> HandState:
+    """The true hand, but for one finger that is wide open, and may be anywhere."""
+    hand, state = scene.hand, scene.hand_state
+    finger = hand.fingers[FINGER]
+    q = state.joint_vector.copy()
+    q[finger.joints] = hand.hand.lower[finger.joints]
+    certain = state.certain.copy()
+    certain[finger.links] = False
+    lower, upper = hand.hand.lower, hand.hand.upper
+    allowed = tuple(
+        Configurations(
+            np.random.default_rng(seed).uniform(
+                lower[f.joints], upper[f.joints], (256, len(f.joints))
+            ),
+            np.zeros(256),
+        )
+        for f in hand.fingers
+    )
+    poses = hand.link_poses(q[None], state.T_camera_hand[None])[0]
+    return HandState(q, state.T_camera_hand, poses, certain, allowed)
+
+
+def finger_as_segment(scene: HeldObject) -> Segment:
+    """What the camera sees of the true finger, taken for the object."""
+    links = scene.hand.fingers[FINGER].links
+    surfaces = [scene.hand.hand.links[i].surface for i in links]
+    poses = scene.hand_state.T_camera_link[links]
+    points = np.concatenate(
+        [s.points @ T[:3, :3].T + T[:3, 3] for s, T in zip(surfaces, poses, strict=True)]
+    )
+    normals = np.concatenate(
+        [s.normals @ T[:3, :3].T for s, T in zip(surfaces, poses, strict=True)]
+    )
+    seen = (points * normals).sum(axis=1) < 0
+    count = int(seen.sum())
+    return Segment(
+        points[seen].astype(np.float32),
+        normals[seen].astype(np.float32),
+        np.full(count, 0.02, dtype=np.float32),
+        np.ones(count, dtype=np.float32),
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_missed_finger_is_found_in_the_segment(seed: int) -> None:
+    scene = held_object("industrial_part")
+    missed = missed_finger(scene, seed)
+    (found,) = hands_in_segment(
+        scene.observation, missed, finger_as_segment(scene), scene.hand, CONFIG
+    )
+    assert np.abs(found.joint_vector - Q).max() < np.radians(3)
+    assert np.abs(found.T_camera_hand - scene.hand_state.T_camera_hand)[:3, 3].max() < 0.001
+    assert found.certain[scene.hand.fingers[FINGER].links].any()
+    np.testing.assert_allclose(
+        found.T_camera_link,
+        scene.hand.link_poses(found.joint_vector[None], found.T_camera_hand[None])[0],
+        atol=1e-6,
+    )
+
+
+def test_a_finger_that_is_certain_stays() -> None:
+    scene = held_object("industrial_part")
+    certain = replace(missed_finger(scene), certain=scene.hand_state.certain)
+    segment = finger_as_segment(scene)
+    assert hands_in_segment(scene.observation, certain, segment, scene.hand, CONFIG) == []
+
+
+def test_the_object_is_no_finger() -> None:
+    scene = held_object("cuboid")
+    missed = missed_finger(scene)
+    assert hands_in_segment(scene.observation, missed, scene.segment, scene.hand, CONFIG) == []
+
+
+def test_a_state_without_other_configurations_gives_none() -> None:
+    scene = held_object("industrial_part")
+    missed = replace(missed_finger(scene), allowed=())
+    segment = finger_as_segment(scene)
+    assert hands_in_segment(scene.observation, missed, segment, scene.hand, CONFIG) == []
+
+
+def test_only_unsure_answers_are_looked_at_again(scenes: list[Scene]) -> None:
+    scene = scenes[0]
+    given = scene.depth, scene.camera, scene.T_camera_hand_given
+    config = replace(CONFIG, second_look=SecondLookConfig(below=1.0))
+    again, once = (PoseEstimator(scene.hand, scene.obj, c, "cpu") for c in (config, CONFIG))
+    first, second = once.estimate(*given), again.estimate(*given)
+    assert first.confidence > CONFIG.second_look.below
+    assert "second_look" not in first.timings
+    assert "second_look" in second.timings
+    assert second.confidence >= first.confidence
