@@ -169,8 +169,8 @@ def _missing_share(depth: Any, roi: Camera, radius: int, device: str) -> Any:
     size = [roi.width, roi.height, radius]
     rows = [depth, *size, in_rows]
     launch(missing_in_rows, roi.height, rows, device, work_per_item=2 * roi.width)
-    around_readings = in_rows.numpy()[depth.numpy() > 0]
-    usual = float(np.median(around_readings[::EVERY])) / (2 * radius + 1)
+    around, reading = in_rows.numpy()[::EVERY], depth.numpy()[::EVERY] > 0
+    usual = float(np.median(around[reading])) / (2 * radius + 1)
     columns = [depth, in_rows, *size, usual, share]
     launch(missing_share, roi.width, columns, device, work_per_item=2 * roi.height)
     return share
