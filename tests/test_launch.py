@@ -51,7 +51,7 @@ def launches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def test_long_launches_are_cut_into_even_slices(launches: list[int], dim: int) -> None:
     np.testing.assert_array_equal(indices(dim, dim, LONG), np.arange(dim) + 1)
     assert sum(launches) == dim
-    assert len(launches) == min(dim, 6)
+    assert len(launches) == min(dim, 3)
     assert max(launches) - min(launches) <= 1
 
 

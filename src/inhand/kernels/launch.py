@@ -69,7 +69,7 @@ def prepare(
         return lambda: None
     slices = 1
     if device == "cpu" and dim * work_per_item >= SLICED_FROM_OPERATIONS:
-        slices = min(dim, 2 * cpu_count()) if cpu_count() > 1 else 1
+        slices = min(dim, cpu_count())
     whole = wp.launch(kernel, dim=dim, inputs=[*inputs, 0], device=device, record_cmd=True)
     spans = itertools.pairwise(dim * i // slices for i in range(slices + 1))
     commands = [_slice(whole, a, b) for a, b in spans] if slices > 1 else [whole]
