@@ -18,6 +18,8 @@ from inhand.kernels.launch import launch
 
 NEAREST = 1e-3
 """Smaller depths are no readings [m]; their inverses would overflow."""
+STEEPEST = 1.5
+"""Rays are no steeper than this against the optical axis [rad]."""
 EVERY = 5
 """Every so-many-th reading is looked at for what holds all over the image."""
 
@@ -114,7 +116,8 @@ def observe(
     smooth_on_device, normals_on_device = _surfaces(flat, roi, far, config, device)
     smooth = smooth_on_device.numpy().reshape(window.shape)
     normals = normals_on_device.numpy().reshape(*window.shape, 3)
-    step = max(1, round(config.point_spacing * roi.fx / float(window.mean(where=inside))))
+    distance = float((window * inside).sum()) / count
+    step = max(1, round(config.point_spacing * roi.fx / distance))
     cloud = _cloud(smooth, normals, roi, (centre, radius), step)
     if len(cloud.points) < config.min_points:
         raise NoAnswer("almost no depth readings lie in the region of the hand")
@@ -182,14 +185,16 @@ def _window(
     """Image rectangle (u0, v0, u1, v1) of the sphere."""
     if centre[2] <= 0.01:
         raise NoAnswer("the wrist pose puts the hand behind the camera")
-    nearest = max(centre[2] - radius, 0.3 * centre[2])
     spans = []
     for x, f, c, size in (
         (centre[0], camera.fx, camera.cx, camera.width),
         (centre[1], camera.fy, camera.cy, camera.height),
     ):
-        edges = [f * (x + s * radius) / z + c for s in (-1, 1) for z in (nearest, centre[2])]
-        low, high = int(np.floor(min(edges))), int(np.ceil(max(edges))) + 1
+        # The rays that touch the sphere, seen along the image's other axis.
+        middle = np.arctan2(x, centre[2])
+        half = np.arcsin(min(1.0, radius / np.hypot(x, centre[2])))
+        edges = f * np.tan(np.clip([middle - half, middle + half], -STEEPEST, STEEPEST)) + c
+        low, high = int(np.floor(edges[0])), int(np.ceil(edges[1])) + 1
         spans.append((max(low, 0), min(high, size)))
     (u0, u1), (v0, v1) = spans
     if u1 - u0 < 8 or v1 - v0 < 8:
@@ -214,6 +219,8 @@ def _cloud(
     x = ((u - roi.cx) / roi.fx).astype(np.float32) * z
     y = ((v - roi.cy) / roi.fy).astype(np.float32)[:, None] * z
     centre, radius = sphere[0].astype(np.float32), np.float32(sphere[1])
-    squares = (x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2
-    near = (squares < radius * radius) & (normals[every, every, 2] != 0)
-    return Cloud(np.stack([x[near], y[near], z[near]], axis=1), normals[every, every][near])
+    with np.errstate(over="ignore"):  # is far away
+        squares = (x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2
+    near = np.flatnonzero((squares < radius * radius) & (normals[every, every, 2] != 0))
+    points = np.stack([axis.ravel()[near] for axis in (x, y, z)], axis=1)
+    return Cloud(points, normals[every, every].reshape(-1, 3)[near])
