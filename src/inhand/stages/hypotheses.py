@@ -16,7 +16,7 @@ from inhand.stages.congruent_sets import generate_from_congruent_sets
 from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.results import PoseSet, Segment
 
-PART = 16
+PART = 32
 """Every so-many-th pose tells what the best ones will score."""
 
 

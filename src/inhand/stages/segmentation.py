@@ -66,6 +66,9 @@ def _segment(
     reach = object_diameter + config.certain_distance
     certain, moving = hand_state.certain, ~hand.is_palm
     to_certain = distances_to_hand(cloud.points, hand_state, hand, certain, FAR)
+    if config.method != "none":
+        rest = to_certain >= config.hand_distance
+        cloud, to_certain = Cloud(cloud.points[rest], cloud.normals[rest]), to_certain[rest]
     to_finger = distances_to_hand(cloud.points, hand_state, hand, moving, 1.01 * reach)
     to_hand = np.minimum(to_certain, to_finger)
     if config.method == "none":
