@@ -118,6 +118,24 @@ def test_limit() -> None:
     assert summary.stopped == "after 2 images"
 
 
+def test_a_limit_that_is_all_there_is_stops_nothing() -> None:
+    clock = FakeClock()
+    assert run(FakeSource(range(5)), found, [Kept()], limit=5).stopped == ""
+    assert run(FakeSource(range(5)), found, [Kept()], limit=9).stopped == ""
+    # In real time the images at 0 and 900 ms are taken: with those dropped, that is all.
+    slow = Slow(clock, 5.0)
+    summary = run(FakeSource(EVERY_100_MS), slow, [Kept()], rate=1.0, limit=2, clock=clock)
+    assert summary.counts == Counts(processed=2, found=2, dropped=8)
+    assert summary.stopped == ""
+
+
+def test_a_camera_is_always_stopped_by_the_limit() -> None:
+    class Live(FakeSource):
+        count = None  # type: ignore[assignment]
+
+    assert run(Live(range(5)), found, [Kept()], limit=5).stopped == "after 5 images"
+
+
 def test_a_limit_is_positive() -> None:
     with pytest.raises(InputError, match="at least 1 image"):
         run(FakeSource(range(5)), found, [Kept()], limit=0)

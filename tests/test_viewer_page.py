@@ -161,3 +161,27 @@ def test_a_live_view_shows_what_comes(browser: Any) -> None:
         page.wait_for_text("no answer: it is dark")
         page.wait_until(lambda: page.pictures() != pictures, "another picture")
         page.close()
+
+
+def test_an_image_of_a_live_view_is_held_and_looked_into(browser: Any) -> None:
+    """While others come, one image stays with all its controls."""
+    scene, analysis = demo(), demo_analysis()
+    with LiveView(scene.hand, scene.obj, port=0) as live:
+        page = ViserPage(browser, live.address)
+        live.show(viewed(scene, "first", STEP), analysis.estimate, analysis.results)
+        page.wait_for_text("first (industrial_part)")
+        page.tick("Hold this image")
+        live.show(viewed(scene, "second", STEP), analysis.estimate, analysis.results)
+        page.slide("Stage", 4 / 7)
+        page.wait_for_text("5 of 8: hypotheses")
+        page.tab.get_by_text("Try by hand").click()
+        page.enter("x [mm]", 12)
+        page.wait_for_text("by the final score")
+        assert "first (industrial_part)" in page.text()
+        live.say("**The run has ended**: 2 processed")
+        page.wait_for_text("The run has ended: 2 processed")
+        page.tick("Hold this image")
+        page.wait_for_text("second (industrial_part)")
+        assert "5 of 8: hypotheses" in page.text()
+        page.close()
+    assert page.errors == []

@@ -33,6 +33,15 @@ class Counts:
     refused: int = 0
     """Images not estimated because they could not be decoded or were bad input."""
 
+    def in_words(self) -> str:
+        """What became of the images; what did not happen is left out, dropped images never."""
+        parts = [f"{self.processed} processed", f"{self.found} found", f"{self.dropped} dropped"]
+        if self.without_wrist:
+            parts.append(f"{self.without_wrist} without wrist pose")
+        if self.refused:
+            parts.append(f"{self.refused} unreadable")
+        return ", ".join(parts)
+
 
 @dataclass(frozen=True)
 class Result:
@@ -119,7 +128,8 @@ def run(
                 for output in outputs:
                     output.write(result)
             report(counts)
-        stopped = "" if limit is None or counts.processed < limit else f"after {limit} images"
+        cut = counts.processed == limit and counts.processed + counts.dropped != source.count
+        stopped = f"after {limit} images" if cut else ""
     except KeyboardInterrupt:
         stopped = "interrupted"
         raise
