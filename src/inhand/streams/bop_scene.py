@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from math import isclose
 from pathlib import Path
 
 from inhand.camera import Camera
@@ -35,7 +36,7 @@ class BopScene:
 
     Raises:
         InputError: `path` is a data set of several scenes, a JSON file is broken, there is no
-            image that can be read, or no hand.
+            image that can be read, or no hand; or the images are not of the camera in `config`.
     """
 
     kind: BagKind | None = None
@@ -49,7 +50,8 @@ class BopScene:
         if files.hand_info is None and config.T_camera_hand is None:
             raise InputError(f"{path} tells no wrist pose: it has no {HAND}; give --hand-pose FILE")
         self._images = sorted(files.truth)
-        self._camera = config.camera or _any_camera(files, self._images)
+        own = _any_camera(files, self._images)
+        self._camera = own if config.camera is None else _check_fits(config.camera, own, path)
         told = [read_time(files, image) for image in self._images]
         self._times = image_times(told, config.frame_rate, str(path / CAMERA))
         self.count = len(self._images)
@@ -72,6 +74,8 @@ class BopScene:
         T = self._config.T_camera_hand
         try:
             image = read_sensed(self._files, number)
+            if self._config.camera is not None:
+                _check_fits(self._config.camera, image.camera, self._files.folder)
         except InputError as error:
             return Frame(str(number), time_ns, FRAME_ID, self._camera, None, T, str(error))
         T = image.T_camera_hand if T is None else T
@@ -88,6 +92,29 @@ def _any_camera(files: SceneFiles, images: Sequence[int]) -> Camera:
         except InputError as error:
             problem = problem or error
     raise problem or InputError(f"{files.folder} has no images")
+
+
+def _check_fits(given: Camera, own: Camera, scene: Path) -> Camera:
+    """The given camera, if the scene's images can be its.
+
+    What a count of the depth images is, the scene alone knows: another unit in the given camera, or
+    none, which would mean millimetres, is a mistake.
+
+    Raises:
+        InputError: they have another size or unit.
+    """
+    if (given.width, given.height) != (own.width, own.height):
+        raise InputError(
+            f"--camera is of images of {given.width} x {given.height} pixels, those in {scene} "
+            f"have {own.width} x {own.height}"
+        )
+    if not isclose(given.depth_unit, own.depth_unit, rel_tol=1e-6):
+        raise InputError(
+            f"a count of the depth images is {own.depth_unit:g} m by {scene / CAMERA}, but "
+            f'{given.depth_unit:g} m by --camera: write "depth_unit_m": {own.depth_unit:g} there, '
+            "or mend depth_scale in the scene if that is wrong"
+        )
+    return given
 
 
 def has_scenes(path: Path) -> bool:
