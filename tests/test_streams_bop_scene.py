@@ -131,7 +131,7 @@ def test_another_camera_takes_the_place_of_the_scenes_own(tmp_path: Path) -> Non
     ("given", "problem"),
     [
         (replace(CAMERA, depth_unit=0.001), r'write "depth_unit_m": 0\.0001 there'),
-        (replace(CAMERA, width=64), r"64 x 24 pixels, those in .*000001 have 32 x 24"),
+        (replace(CAMERA, width=64), r"64 x 24 pixels, but they have 32 x 24 by .*scene_camera"),
     ],
 )
 def test_a_camera_of_other_images_is_refused(tmp_path: Path, given: Camera, problem: str) -> None:
@@ -147,4 +147,4 @@ def test_an_image_of_another_depth_unit_is_one_problem(tmp_path: Path) -> None:
     path.write_text(json.dumps(fields))
     found = frames(scene, StreamConfig(camera=CAMERA))
     assert [f.depth is not None for f in found] == [True, False, True]
-    assert "a count of the depth images is 0.001 m" in found[1].problem
+    assert "it is 0.001 m by" in found[1].problem

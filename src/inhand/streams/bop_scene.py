@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from math import isclose
 from pathlib import Path
 
 from inhand.camera import Camera
@@ -20,6 +19,7 @@ from inhand.datasets.bop import (
 from inhand.errors import InputError
 from inhand.streams.bag import BagKind
 from inhand.streams.config import StreamConfig
+from inhand.streams.given_camera import check_fits
 from inhand.streams.image_times import image_times
 from inhand.streams.source import Arrival, Frame
 
@@ -51,7 +51,9 @@ class BopScene:
             raise InputError(f"{path} tells no wrist pose: it has no {HAND}; give --hand-pose FILE")
         self._images = sorted(files.truth)
         own = _any_camera(files, self._images)
-        self._camera = own if config.camera is None else _check_fits(config.camera, own, path)
+        self._camera = (
+            own if config.camera is None else check_fits(config.camera, own, path / CAMERA)
+        )
         told = [read_time(files, image) for image in self._images]
         self._times = image_times(told, config.frame_rate, str(path / CAMERA))
         self.count = len(self._images)
@@ -75,7 +77,7 @@ class BopScene:
         try:
             image = read_sensed(self._files, number)
             if self._config.camera is not None:
-                _check_fits(self._config.camera, image.camera, self._files.folder)
+                check_fits(self._config.camera, image.camera, self._files.folder / CAMERA)
         except InputError as error:
             return Frame(str(number), time_ns, FRAME_ID, self._camera, None, T, str(error))
         T = image.T_camera_hand if T is None else T
@@ -92,29 +94,6 @@ def _any_camera(files: SceneFiles, images: Sequence[int]) -> Camera:
         except InputError as error:
             problem = problem or error
     raise problem or InputError(f"{files.folder} has no images")
-
-
-def _check_fits(given: Camera, own: Camera, scene: Path) -> Camera:
-    """The given camera, if the scene's images can be its.
-
-    What a count of the depth images is, the scene alone knows: another unit in the given camera, or
-    none, which would mean millimetres, is a mistake.
-
-    Raises:
-        InputError: they have another size or unit.
-    """
-    if (given.width, given.height) != (own.width, own.height):
-        raise InputError(
-            f"--camera is of images of {given.width} x {given.height} pixels, those in {scene} "
-            f"have {own.width} x {own.height}"
-        )
-    if not isclose(given.depth_unit, own.depth_unit, rel_tol=1e-6):
-        raise InputError(
-            f"a count of the depth images is {own.depth_unit:g} m by {scene / CAMERA}, but "
-            f'{given.depth_unit:g} m by --camera: write "depth_unit_m": {own.depth_unit:g} there, '
-            "or mend depth_scale in the scene if that is wrong"
-        )
-    return given
 
 
 def has_scenes(path: Path) -> bool:
