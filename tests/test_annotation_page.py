@@ -19,6 +19,7 @@ from browser import ViserPage, chromium
 from labelling_data import hand_files, true_label, workbench, write_folder, write_mesh
 from scipy.spatial.transform import Rotation
 
+from inhand.annotation.angles import angles_of, rotation_of
 from inhand.annotation.page import LabellingPage
 from inhand.annotation.session import Label, Session
 from inhand.annotation.storage import SESSION_FILE, load_session, save_session
@@ -83,11 +84,21 @@ def centre_of(label: Label, scene: Scene) -> np.ndarray:
 
 def type_centre(page: ViserPage, centre: np.ndarray) -> None:
     """Type the object's centre [mm] into its three fields."""
-    fields = page._row("Centre [mm]").locator("input:visible")
-    for i, value in enumerate(centre):
+    type_three(page, "Centre [mm]", centre)
+
+
+def type_three(page: ViserPage, label: str, values: np.ndarray) -> None:
+    """Type numbers into the three fields with a label."""
+    fields = page._row(label).locator("input:visible")
+    for i, value in enumerate(values):
         fields.nth(i).fill(f"{value:.1f}")
         fields.nth(i).press("Enter")
     leave_field(page)
+
+
+def shown_three(page: ViserPage, label: str) -> list[float]:
+    """What the three fields with a label show."""
+    return [float(field.input_value()) for field in page._row(label).locator("input:visible").all()]
 
 
 def leave_field(page: ViserPage) -> None:
@@ -151,6 +162,41 @@ def turn_by_keys(page: ViserPage, bench: Workbench, scene: Scene) -> None:
         before = len(bench.session.past), bench.label
         page.tab.keyboard.press(keys[axis][0 if way[axis] > 0 else 1])
         page.wait_until(lambda: bench.label != before[1], "the object to turn")  # noqa: B023
+
+
+def test_position_and_rotation_are_typed(
+    bench: Workbench, page: ViserPage, scenes: list[Scene]
+) -> None:
+    """To a tenth of a millimetre and of a degree, without a drag; the fields follow the object."""
+    truth = true_label(scenes[PART])
+    centre, angles = centre_of(truth, scenes[PART]), angles_of(truth.T_camera_object[:3, :3])
+    type_centre(page, centre)
+    type_three(page, "Turn [°]", angles)
+
+    def is_there() -> bool:
+        error = bench.tools.difference(bench.label, truth)
+        return error.translation < 1.5e-4 and np.degrees(error.rotation) < 0.15
+
+    page.wait_until(is_there, "the object where it was typed")
+    page.tab.keyboard.press("Shift+O")
+    turned = lambda: rotation_of(np.array(shown_three(page, "Turn [°]")))  # noqa: E731
+    page.wait_until(
+        lambda: (
+            np.allclose(turned(), bench.label.T_camera_object[:3, :3], atol=1e-4) and not is_there()
+        ),
+        "the fields to follow the key",
+    )
+    # Angles beyond those that are shown for a rotation stay as they were typed.
+    type_three(page, "Turn [°]", np.array([10.0, 120.0, 20.0]))
+    expected = rotation_of(np.array([10.0, 120.0, 20.0]))
+    page.wait_until(
+        lambda: np.allclose(bench.label.T_camera_object[:3, :3], expected, atol=1e-9),
+        "the object turned as typed",
+    )
+    pictures = page.pictures()
+    page.enter(joint_field(bench.hand.model.joint_names[0]), 40)
+    page.wait_until(lambda: page.pictures() != pictures, "the page to be drawn anew")
+    assert shown_three(page, "Turn [°]") == [10, 120, 20]
 
 
 def test_buttons_and_keys_do_the_same(bench: Workbench, page: ViserPage) -> None:
