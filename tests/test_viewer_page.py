@@ -1,9 +1,5 @@
-"""The viewer's page in a real browser, headless: it loads, and what is moved changes what is seen.
+"""The viewer's page in a real browser, headless: it loads, and what is moved changes the view."""
 
-With INHAND_SCREENSHOT set to a path, the picture in the documentation is written there.
-"""
-
-import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -65,20 +61,6 @@ def test_the_page_shows_the_answer_and_follows_its_controls(page: ViserPage) -> 
     page.slide("Stage", 1)
     page.wait_for_text("8 of 8: choice")
     page.wait_until(lambda: changed(choice, page.scene()) < 500, "the 3D view of the start")
-
-
-@pytest.mark.skipif("INHAND_SCREENSHOT" not in os.environ, reason="makes a picture for the docs")
-def test_the_picture_in_the_documentation(browser: Any) -> None:
-    source = SceneSource({"built-in scene": demo()})
-    with serving("inhand", port=0) as server:
-        shown = Page(server, source.hand)
-        Browsing(shown, Session(source, analyst())).start()
-        page = ViserPage(browser, address(server), size=(1500, 900))
-        page.wait_for_text("8 of 8: choice")
-        page.wait_until_still()
-        page.screenshot(os.environ["INHAND_SCREENSHOT"])
-        page.close()
-        shown.stop()
 
 
 def test_sliders_recompute_the_residual(page: ViserPage) -> None:
