@@ -81,6 +81,7 @@ def test_json_lines(tmp_path: Path) -> None:
             "without_wrist": 1,
             "refused": 0,
             "stopped": "",
+            "first_problem": "image 1: no wrist pose: it is never told",
         }
     }
 

@@ -108,6 +108,7 @@ def test_images_that_cannot_be_estimated_are_reported_and_counted() -> None:
         "the median depth is 4500 m",
     ]
     assert summary.counts == Counts(processed=5, found=1, without_wrist=1, refused=2)
+    assert summary.first_problem == "image 1: no wrist pose: it is never told"
     assert [c.processed for c in reports] == [1, 2, 3, 4, 5]
 
 

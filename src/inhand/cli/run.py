@@ -140,9 +140,13 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
         outputs = [*_open_outputs(args, source, paths, obj), *page]
         try:
             with _progress(source, console) as report:
-                return runner.run(
+                summary = runner.run(
                     source, estimate, outputs, rate=args.rate, limit=args.limit, report=report
                 )
+            if problem := summary.first_problem:
+                message = f"The first that could not be estimated: {problem}"
+                console.print(message, highlight=False, markup=False)
+            return summary
         finally:
             console.print(f"Results: {', '.join(map(str, paths))}", highlight=False, markup=False)
 

@@ -73,6 +73,8 @@ class PageOutput:
     def finish(self, summary: Summary) -> None:
         """Say that the run has ended, and what became of the images."""
         self._ending = f"**The run has ended**: {summary.counts.in_words()}"
+        if summary.first_problem:
+            self._ending += f"  \nThe first that could not be estimated: {summary.first_problem}"
         self._view.say(self._ending)
 
     @property
