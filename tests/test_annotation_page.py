@@ -135,7 +135,7 @@ def test_a_frame_is_labelled_from_a_bad_start(
     page.click("Labelled")
     page.wait_for_text("1 of 2 labelled")
     page.click("Write the data set")
-    page.wait_for_text("1 images are in")
+    page.wait_for_text("Images written to")
     (path,) = find_frames([bench.folder])
     written = read_frame(path).truth
     found = metric.pose_error(written.T_camera_object, scene.T_camera_object)
@@ -495,7 +495,7 @@ def test_the_data_set_is_written_without_a_page(
     label = replace(label, T_camera_object=turn @ label.T_camera_object)
     save_session(tmp_path / "out" / SESSION_FILE, Session(NAMES).go_to(1).change(label, "labelled"))
     assert main([*command, "--write"]) == 0
-    assert "1 images are in" in capsys.readouterr().out
+    assert f"Images written to {tmp_path / 'out'}: 1" in capsys.readouterr().out.replace("\n", "")
     (path,) = find_frames([tmp_path / "out"])
     frame = read_frame(path)
     assert frame.object_name == "part"

@@ -103,7 +103,7 @@ class LabellingPage:
             self._message.content = f"Writing image {done + 1} of {total}"
 
         number = self._bench.write(tell)
-        self._message.content = f"{number} images are in `{self._bench.folder}`"
+        self._message.content = f"Images written to `{self._bench.folder}`: {number}"
 
     # How
 
