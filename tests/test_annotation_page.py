@@ -316,16 +316,19 @@ def arrow_on_screen(
     return start, end
 
 
-def test_another_tab_sees_what_there_is(
+def test_a_tab_that_is_closed_in_the_middle_loses_nothing(
     bench: Workbench, server: Any, page: ViserPage, browser: Any
 ) -> None:
-    """A tab that was closed and comes back is another one, too."""
+    """Not even what was typed last; another tab sees it, and so does one that comes back."""
     joint = joint_field(bench.hand.model.joint_names[1])
-    page.enter(joint, 33)
-    page.wait_until(lambda: bench.session.label is not None, "the finger to move")
     other = ViserPage(browser, address(server))
-    other.wait_until(lambda: other.value(joint) == "33", "the finger where it is")
+    other.enter(joint, 33)
     other.close()
+    page.wait_until(lambda: page.value(joint) == "33", "the finger where it is")
+    assert saved(bench.folder).past == bench.session.past
+    back = ViserPage(browser, address(server))
+    back.wait_until(lambda: back.value(joint) == "33", "the finger where it is")
+    back.close()
 
 
 def test_a_full_disk_is_said_and_the_label_kept(
