@@ -86,6 +86,22 @@ def assert_same(one: Any, other: Any) -> None:
         assert one == other
 
 
+def test_a_batch_has_the_same_answers(
+    scenes: list[Scene], scene: Scene, estimator: PoseEstimator, first: PoseEstimate
+) -> None:
+    images = [
+        (depth[::2, ::2], scene.camera.subsampled(2), scene.T_camera_hand_given)
+        for depth in (scene.depth, 0 * scene.depth, scenes[7].depth, scene.depth)
+    ]
+    found = estimator.estimate_batch(iter(images))
+    assert_same([found[0], found[3]], [first, first])
+    assert not found[1].found
+    assert_same(found[2], estimator.estimate(*images[2]))
+    assert estimator.estimate_batch([]) == []
+    with pytest.raises(InputError, match="depth"):
+        estimator.estimate_batch([images[0], (None, *images[0][1:])])
+
+
 # Repeatable
 
 

@@ -12,7 +12,14 @@ from probe_kernels import write_index
 import inhand.kernels
 from inhand.errors import InputError
 from inhand.kernels import launch as seam
-from inhand.kernels.launch import cpu_count, launch, load_all_kernels, prepare, resolve_device
+from inhand.kernels.launch import (
+    cpu_count,
+    launch,
+    load_all_kernels,
+    on_all_cores,
+    prepare,
+    resolve_device,
+)
 
 LONG = 10**6
 """Operations of a work item that are worth slices."""
@@ -69,6 +76,12 @@ def test_a_prepared_launch_can_be_repeated(work_per_item: int) -> None:
         out.zero_()
         run()
         np.testing.assert_array_equal(out.numpy(), np.arange(100) + 1)
+
+
+def test_items_on_all_cores_keep_their_launches_whole(launches: list[int]) -> None:
+    found = on_all_cores(lambda dim: indices(dim, dim, LONG).sum(), [3, 4, 5, 6], "cpu")
+    assert found == [6, 10, 15, 21]
+    assert sorted(launches) == [1, 1, 1, 4, 5, 6], "the first is done alone, by all"
 
 
 def test_nothing_to_do_is_no_launch(launches: list[int]) -> None:

@@ -1,7 +1,7 @@
 """The pipeline: the stages in order."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -16,7 +16,7 @@ from inhand.errors import InputError, NoAnswer
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.geometry.se3 import check_rigid
 from inhand.hand import Hand
-from inhand.kernels.launch import resolve_device
+from inhand.kernels.launch import on_all_cores, resolve_device
 from inhand.object_model import ObjectModel
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import cluster
@@ -103,6 +103,19 @@ class PoseEstimator:
                 `PoseEstimate.found`.
         """
         return self.run(depth, camera, T_camera_hand)[0]
+
+    def estimate_batch(self, images: Iterable[tuple[Any, Camera, Any]]) -> list[PoseEstimate]:
+        """Estimates of many images, the same as by `estimate`, in less time altogether.
+
+        On a CPU every core works on an image of its own.
+
+        Args:
+            images: depth, camera and T_camera_hand of each, as for `estimate`.
+
+        Raises:
+            InputError: the input of an image is malformed.
+        """
+        return on_all_cores(lambda image: self.estimate(*image), images, self.device)
 
     def run(
         self, depth: Any, camera: Camera, T_camera_hand: Any

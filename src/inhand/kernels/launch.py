@@ -4,16 +4,20 @@ import importlib
 import itertools
 import os
 import pkgutil
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from functools import cache, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import warp as wp
 
 import inhand.kernels
 from inhand.errors import InputError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 wp.config.log_level = wp.LOG_ERROR
 wp.config.enable_backward = False
@@ -36,6 +40,29 @@ def _pool() -> ThreadPoolExecutor:
 def cpu_count() -> int:
     """Number of CPU cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+_thread = threading.local()
+
+
+def on_all_cores(
+    function: Callable[[Item], Result], items: Iterable[Item], device: str
+) -> list[Result]:
+    """`function` of every item, in order; on a CPU each core has an item at a time.
+
+    Launches by `function` are not sliced then: every core has its own. The first item is done
+    alone, as threads that meet a kernel that is not loaded yet would all compile it.
+    """
+    queue = iter(items)
+    done = [function(item) for item in itertools.islice(queue, 1)]
+    if device != "cpu":
+        return done + [function(item) for item in queue]
+
+    def keep_launches_whole() -> None:
+        _thread.has_one_core = True
+
+    with ThreadPoolExecutor(cpu_count(), "inhand-items", keep_launches_whole) as pool:
+        return done + list(pool.map(function, queue))
 
 
 def launch(
@@ -68,7 +95,8 @@ def prepare(
     if dim <= 0:
         return lambda: None
     slices = 1
-    if device == "cpu" and dim * work_per_item >= SLICED_FROM_OPERATIONS:
+    worth_it = device == "cpu" and dim * work_per_item >= SLICED_FROM_OPERATIONS
+    if worth_it and not getattr(_thread, "has_one_core", False):
         slices = min(dim, cpu_count())
     whole = wp.launch(kernel, dim=dim, inputs=[*inputs, 0], device=device, record_cmd=True)
     spans = itertools.pairwise(dim * i // slices for i in range(slices + 1))
