@@ -12,6 +12,7 @@ import tiny_urdf
 
 from inhand import EstimatorConfig, Hand, PoseEstimate, PoseEstimator
 from inhand.camera import Camera
+from inhand.errors import InputError
 from inhand.estimator import StageResults
 from inhand.evaluation.metrics import ObjectMetric, wrist_error
 from inhand.geometry.se3 import check_rigid, exp
