@@ -137,11 +137,10 @@ class LossConfig(Section):
     again: Share = 0.5
     """Probability that an object which was lost is where it is expected."""
     accept: Share = 0.6
-    """A tracker that is lost takes a pose of this confidence or more ..."""
-    accept_elsewhere: Share = 0.95
-    """... and one of this if it is not where the object was expected."""
-    elsewhere: float = 0.01
-    """Mean distance of the surfaces from which on it is not [m]."""
+    """A tracker that is lost takes a pose of this confidence or more; of a search, only if it
+    agrees with where the object was expected or where the last image's search had it."""
+    same: float = 0.004
+    """Poses whose surfaces are nearer than this on average agree [m]."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from inhand.checks import finite_number
 from inhand.errors import InputError, NoAnswer
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.estimator import Clock, PoseEstimator, check_depth, check_wrist
+from inhand.geometry import se3
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.stages.clustering import surface_distances_to
@@ -59,6 +60,7 @@ class PoseTracker:
         self._track: Track | None = None
         self._rng = np.random.default_rng(self.config.estimator.seed)
         self._lost = True
+        self._seen_at: Array | None = None  # where the last image's search saw it in the hand
         self._images = 0
         self._time: float | None = None
 
@@ -135,7 +137,7 @@ class PoseTracker:
         if confidence < (loss.accept if self._lost else loss.lost):
             self._lost = True
             return self._no_answer("the image does not show the object where it is expected", clock)
-        self._lost = False
+        self._lost, self._seen_at = False, None
         self._track = found.kept_in(track, confidence, config)
         return self._answer(found.score, clock)
 
@@ -156,26 +158,39 @@ class PoseTracker:
         self.estimator.config = replace(self.config.estimator, seed=seed)
         estimate = self.estimator.estimate(image, camera, given)
         clock.seconds.update(estimate.timings)
+        before, self._seen_at = self._seen_at, None
         if not estimate.found:
             # Of a hand that is hidden, the track knows more than the estimator.
             unseen = replace(estimate, timings=clock.seconds)
             return self._no_answer(estimate.reason, clock) if self._track else unseen
-        if estimate.confidence < self._wanted(estimate):
+        if estimate.confidence < self.config.loss.accept:
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._no_answer(reason, clock)
+        if not self._agrees(estimate, before):
+            return self._no_answer("no second image agrees yet on where the object is", clock)
         self._lost = False
         self._track = begun(estimate, given, self._hand.hand, self.config)
         return replace(estimate, timings=clock.seconds, covariance=self._covariance())
 
-    def _wanted(self, estimate: PoseEstimate) -> float:
-        """Confidence that an answer of the estimator must have to be taken."""
-        loss, track, T = self.config.loss, self._track, estimate.T_camera_object
-        if track is None or T is None:
-            return loss.accept
-        expected = track.T_camera_object.astype(np.float32)
-        one = T[None].astype(np.float32)
-        apart = surface_distances_to(one, expected, self._object, 2 * loss.elsewhere)[0]
-        return loss.accept if apart < loss.elsewhere else loss.accept_elsewhere
+    def _agrees(self, estimate: PoseEstimate, before: Array | None) -> bool:
+        """Whether a search found the object where the track or the last image's search has it.
+
+        The first search has nothing to agree with. What one image shows in part, something else
+        may look like; that it does so twice, at one place in a hand that moves, is rare.
+        """
+        assert estimate.T_camera_object is not None
+        assert estimate.T_camera_hand is not None
+        self._seen_at = se3.inverse(estimate.T_camera_hand) @ estimate.T_camera_object
+        if self._track is None:
+            return True
+        places = [self._track.T_camera_object]
+        if before is not None:
+            places.append(estimate.T_camera_hand @ before)
+        same, one = self.config.loss.same, estimate.T_camera_object.astype(np.float32)
+        apart = surface_distances_to(
+            np.stack(places).astype(np.float32), one, self._object, 2 * same
+        )
+        return bool(apart.min() < same)
 
     def _answer(self, score: float, clock: Clock) -> PoseEstimate:
         track = self._track
