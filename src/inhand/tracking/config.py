@@ -38,6 +38,9 @@ class StartConfig(Section):
     """[rad] per axis."""
     object_shift: float = 0.005
     """[m] per axis."""
+    lasting: NonNegative = 2.0
+    """The object may be off by this many times as much all the same, in directions in which no
+    image corrects it; see `Track.lasting`."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,14 @@ class ObjectTrackConfig(Section):
     agility: NonNegative = 0.7
     """The sd of its motion from image to image is this times the recent motion, and more if it is
     still."""
+    unseen_agility: NonNegative = 0.5
+    """And in every direction this times the root mean square of all: what the image shows to move
+    may move where it does not show it as well."""
+    lever: float = 0.03
+    """Motion that counts as one radian of turning there [m/rad]."""
+    lasting: NonNegative = 0.35
+    """Sd of the errors that are the same in all images, in units of those that are not; see
+    `Track.lasting`."""
     memory: Share = 0.8
     """Weight of earlier images in the recent motion."""
     start_lead: NonNegative = 0.02

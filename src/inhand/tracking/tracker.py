@@ -11,10 +11,8 @@ from inhand.checks import finite_number
 from inhand.errors import InputError, NoAnswer
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.estimator import Clock, PoseEstimator, check_depth, check_wrist
-from inhand.geometry import se3
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
-from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
@@ -24,6 +22,7 @@ from inhand.tracking.gaussian import Array, about_origin
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
+from inhand.tracking.recovery import Sighting, resumed, same_place
 from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
@@ -60,7 +59,7 @@ class PoseTracker:
         self._track: Track | None = None
         self._rng = np.random.default_rng(self.config.estimator.seed)
         self._lost = True
-        self._seen_at: Array | None = None  # where the last image's search saw it in the hand
+        self._sighting: Sighting | None = None  # of the last image
         self._images = 0
         self._time: float | None = None
 
@@ -137,7 +136,7 @@ class PoseTracker:
         if confidence < (loss.accept if self._lost else loss.lost):
             self._lost = True
             return self._no_answer("the image does not show the object where it is expected", clock)
-        self._lost, self._seen_at = False, None
+        self._lost, self._sighting = False, None
         self._track = found.kept_in(track, confidence, config)
         return self._answer(found.score, clock)
 
@@ -158,7 +157,7 @@ class PoseTracker:
         self.estimator.config = replace(self.config.estimator, seed=seed)
         estimate = self.estimator.estimate(image, camera, given)
         clock.seconds.update(estimate.timings)
-        before, self._seen_at = self._seen_at, None
+        before, self._sighting = self._sighting, None
         if not estimate.found:
             # Of a hand that is hidden, the track knows more than the estimator.
             unseen = replace(estimate, timings=clock.seconds)
@@ -166,31 +165,31 @@ class PoseTracker:
         if estimate.confidence < self.config.loss.accept:
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._no_answer(reason, clock)
-        if not self._agrees(estimate, before):
+        self._sighting = Sighting.of(estimate)
+        if not self._confirmed(self._sighting, before):
             return self._no_answer("no second image agrees yet on where the object is", clock)
         self._lost = False
-        self._track = begun(estimate, given, self._hand.hand, self.config)
-        return replace(estimate, timings=clock.seconds, covariance=self._covariance())
+        self._track = self._resumed(estimate, given)
+        T, covariance = self._track.T_camera_object, self._covariance()
+        return replace(estimate, T_camera_object=T, timings=clock.seconds, covariance=covariance)
 
-    def _agrees(self, estimate: PoseEstimate, before: Array | None) -> bool:
-        """Whether a search found the object where the track or the last image's search has it.
+    def _confirmed(self, sighting: Sighting, before: Sighting | None) -> bool:
+        """Whether track or last image agree on where a search found the object.
 
-        The first search has nothing to agree with. What one image shows in part, something else
-        may look like; that it does so twice, at one place in a hand that moves, is rare.
+        The first search has nothing to agree with.
         """
-        assert estimate.T_camera_object is not None
-        assert estimate.T_camera_hand is not None
-        self._seen_at = se3.inverse(estimate.T_camera_hand) @ estimate.T_camera_object
         if self._track is None:
             return True
-        places = [self._track.T_camera_object]
-        if before is not None:
-            places.append(estimate.T_camera_hand @ before)
-        same, one = self.config.loss.same, estimate.T_camera_object.astype(np.float32)
-        apart = surface_distances_to(
-            np.stack(places).astype(np.float32), one, self._object, 2 * same
-        )
-        return bool(apart.min() < same)
+        T, expected = sighting.T_camera_object, self._track.T_camera_object
+        if same_place(T, expected, self._object, self.config):
+            return True
+        return before is not None and sighting.agrees_with(before, self._object, self.config)
+
+    def _resumed(self, estimate: PoseEstimate, given: Array) -> Track:
+        """The track after a search."""
+        if self._track is None:
+            return begun(estimate, given, self._hand.hand, self.config)
+        return resumed(self._track, estimate, given, self._hand, self._object, self.config)
 
     def _answer(self, score: float, clock: Clock) -> PoseEstimate:
         track = self._track
@@ -224,4 +223,4 @@ class PoseTracker:
         track = self._track
         assert track is not None
         centre = self._object.model.centre
-        return about_origin(track.object_covariance, track.T_camera_object, centre)
+        return about_origin(track.whole_covariance, track.T_camera_object, centre)

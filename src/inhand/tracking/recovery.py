@@ -1,0 +1,90 @@
+"""When a tracker that is lost believes the estimator, and what it makes of two who agree.
+
+What one image shows in part, something else may look like. That it does so where the track expects
+the object, or twice at one place in a hand that moves, is rare.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inhand.estimate import PoseEstimate
+from inhand.geometry import se3
+from inhand.packed import PackedHand, PackedObject
+from inhand.stages.clustering import surface_distances_to
+from inhand.tracking.config import TrackerConfig
+from inhand.tracking.gaussian import Array, fused, twist_between
+from inhand.tracking.track import Track, begun
+
+SPINS = 36
+"""Turns about a continuous axis of symmetry that are looked through."""
+FARTHEST = 12.6
+"""Poses farther apart than this, squared and in units of their covariances, are two: 95 % of those
+that are one lie below (chi squared, six degrees of freedom)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A sure answer of the estimator."""
+
+    T_camera_hand: Array
+    """Wrist pose, shape (4, 4)."""
+    T_camera_object: Array
+    """Pose of the object, shape (4, 4)."""
+
+    @classmethod
+    def of(cls, estimate: PoseEstimate) -> "Sighting":
+        """What an answer of the estimator says, which is found."""
+        assert estimate.T_camera_hand is not None
+        assert estimate.T_camera_object is not None
+        return cls(estimate.T_camera_hand, estimate.T_camera_object)
+
+    def agrees_with(self, other: "Sighting", obj: PackedObject, config: TrackerConfig) -> bool:
+        """Whether another has the object's surface at the same place in the hand."""
+        there = self.T_camera_hand @ se3.inverse(other.T_camera_hand) @ other.T_camera_object
+        return same_place(self.T_camera_object, there, obj, config)
+
+
+def same_place(T: Array, other: Array, obj: PackedObject, config: TrackerConfig) -> bool:
+    """Whether the object's surface is at the same place at two poses, both of shape (4, 4)."""
+    distance = config.loss.same
+    one, two = T.astype(np.float32), other.astype(np.float32)
+    return bool(surface_distances_to(one[None], two, obj, 2 * distance)[0] < distance)
+
+
+def resumed(
+    track: Track,
+    estimate: PoseEstimate,
+    given: Array,
+    hand: PackedHand,
+    obj: PackedObject,
+    config: TrackerConfig,
+) -> Track:
+    """The track that goes on from an answer of the estimator.
+
+    If it is where the track expected the object, both count, weighed by how well they are known.
+
+    Args:
+        track: the track as predicted.
+        estimate: the answer, found.
+        given: the wrist pose that came with the image, shape (4, 4).
+        hand, obj: the models.
+        config: parameters.
+    """
+    anew = begun(estimate, given, hand.hand, config)
+    expected, centre = track.T_camera_object, obj.model.centre
+    variance = track.whole_covariance + anew.whole_covariance
+
+    def apart(T: Array) -> float:
+        twist = twist_between(expected, T, centre)
+        return float(twist @ np.linalg.solve(variance, twist))
+
+    alike = anew.T_camera_object @ obj.model.symmetry.representatives(SPINS)
+    nearest = min(alike, key=apart)
+    if apart(nearest) > FARTHEST:
+        return anew
+    T, covariance = fused(
+        (expected, track.whole_covariance), (nearest, anew.whole_covariance), centre
+    )
+    none = np.zeros_like(covariance)
+    return replace(anew, T_camera_object=T, object_covariance=covariance, lasting=none)
