@@ -114,12 +114,12 @@ class ObjectTrackConfig(Section):
     agility: NonNegative = 0.7
     """The sd of its motion from image to image is this times the recent motion, and more if it is
     still."""
-    unseen_agility: NonNegative = 0.5
+    unseen_agility: NonNegative = 0.3
     """And in every direction this times the root mean square of all: what the image shows to move
     may move where it does not show it as well."""
     lever: float = 0.03
     """Motion that counts as one radian of turning there [m/rad]."""
-    lasting: NonNegative = 0.35
+    lasting: NonNegative = 0.4
     """Sd of the errors that are the same in all images, in units of those that are not; see
     `Track.lasting`."""
     memory: Share = 0.8
@@ -152,6 +152,8 @@ class LossConfig(Section):
     agrees with where the object was expected or where the last image's search had it."""
     same: float = 0.004
     """Poses whose surfaces are nearer than this on average agree [m]."""
+    worse_hand: Share = 0.1
+    """The hand of a search may explain the image worse than the followed one by this share."""
 
 
 @dataclass(frozen=True)

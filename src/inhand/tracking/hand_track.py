@@ -125,6 +125,25 @@ def _certain_links(
 
     None if it does not support the hand as a whole.
     """
+    c = config.estimator.hand_state
+    score, seen, area = link_supports(observation, hand, T_camera_link, config)
+    if score.sum() < c.min_hand_support * max(seen.sum(), c.min_seen * area.sum()):
+        return None
+    supported = score > c.certain_support * np.maximum(seen, c.min_seen * area)
+    return np.asarray(supported | hand.is_palm)
+
+
+def link_supports(
+    observation: Observation, hand: PackedHand, T_camera_link: Array, config: TrackerConfig
+) -> Array:
+    """How the image judges each link's surface, how much of it nothing hides, and its area, (3, L).
+
+    Args:
+        observation: the image.
+        hand: the hand.
+        T_camera_link: where its links are, shape (L, 4, 4).
+        config: parameters.
+    """
     c, device = config.estimator.hand_state, hand.device
     rule = Visibility()
     rule.tolerance = max(c.fine_tolerance, c.noise_tolerance * observation.noise)
@@ -139,8 +158,4 @@ def _certain_links(
         device,
         work_per_item=c.fine_points,
     )
-    score, seen, area = sums.numpy().T.astype(np.float64)
-    if score.sum() < c.min_hand_support * max(seen.sum(), c.min_seen * area.sum()):
-        return None
-    supported = score > c.certain_support * np.maximum(seen, c.min_seen * area)
-    return np.asarray(supported | hand.is_palm)
+    return np.asarray(sums.numpy().T, dtype=np.float64)

@@ -12,8 +12,10 @@ from inhand.estimate import PoseEstimate
 from inhand.geometry import se3
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import surface_distances_to
+from inhand.stages.observation import Observation
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, fused, twist_between
+from inhand.tracking.hand_track import link_supports
 from inhand.tracking.track import Track, begun
 
 SPINS = 36
@@ -43,6 +45,31 @@ class Sighting:
         """Whether another has the object's surface at the same place in the hand."""
         there = self.T_camera_hand @ se3.inverse(other.T_camera_hand) @ other.T_camera_object
         return same_place(self.T_camera_object, there, obj, config)
+
+
+def hand_explains(
+    estimate: PoseEstimate,
+    track: Track,
+    observation: Observation,
+    hand: PackedHand,
+    config: TrackerConfig,
+) -> bool:
+    """Whether the hand of an answer explains the image about as well as the one that is followed.
+
+    If not, what the answer takes for the object may be a finger that it has elsewhere.
+
+    Args:
+        estimate: the answer, found.
+        track: the track, with its hand as this image shows it.
+        observation: the image.
+        hand: the hand.
+        config: parameters.
+    """
+    assert estimate.T_camera_hand is not None
+    q = np.stack([track.joint_vector, hand.hand.joint_vector(estimate.joint_positions)])
+    links = hand.link_poses(q, np.stack([track.T_camera_hand, estimate.T_camera_hand]))
+    followed, found = (link_supports(observation, hand, T, config)[0].sum() for T in links)
+    return bool(found >= followed - config.loss.worse_hand * abs(followed))
 
 
 def same_place(T: Array, other: Array, obj: PackedObject, config: TrackerConfig) -> bool:

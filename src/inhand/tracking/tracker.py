@@ -22,7 +22,7 @@ from inhand.tracking.gaussian import Array, about_origin
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
-from inhand.tracking.recovery import Sighting, resumed, same_place
+from inhand.tracking.recovery import Sighting, hand_explains, resumed, same_place
 from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
@@ -165,6 +165,8 @@ class PoseTracker:
         if estimate.confidence < self.config.loss.accept:
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._no_answer(reason, clock)
+        if not self._hand_explains(estimate, image, camera):
+            return self._no_answer("the search takes a part of the hand for the object", clock)
         self._sighting = Sighting.of(estimate)
         if not self._confirmed(self._sighting, before):
             return self._no_answer("no second image agrees yet on where the object is", clock)
@@ -172,6 +174,19 @@ class PoseTracker:
         self._track = self._resumed(estimate, given)
         T, covariance = self._track.T_camera_object, self._covariance()
         return replace(estimate, T_camera_object=T, timings=clock.seconds, covariance=covariance)
+
+    def _hand_explains(
+        self, estimate: PoseEstimate, image: NDArray[np.float32], camera: Camera
+    ) -> bool:
+        """Whether a search found a hand that is no worse than the followed one, if there is one."""
+        track, hand, config = self._track, self._hand, self.config
+        if track is None:
+            return True
+        try:
+            observation = look_at(image, camera, track, hand, self._object, config)
+        except NoAnswer:
+            return True
+        return hand_explains(estimate, track, observation, hand, config)
 
     def _confirmed(self, sighting: Sighting, before: Sighting | None) -> bool:
         """Whether track or last image agree on where a search found the object.
