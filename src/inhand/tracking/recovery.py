@@ -8,14 +8,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from inhand.errors import NoAnswer
 from inhand.estimate import PoseEstimate
 from inhand.geometry import se3
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import surface_distances_to
+from inhand.stages.evidence import gather_evidence, score_with_contact
 from inhand.stages.observation import Observation
+from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, fused, twist_between
 from inhand.tracking.hand_track import link_supports
+from inhand.tracking.loss import seen_confidence
+from inhand.tracking.object_track import segment_near
 from inhand.tracking.track import Track, begun
 
 SPINS = 36
@@ -47,29 +52,43 @@ class Sighting:
         return same_place(self.T_camera_object, there, obj, config)
 
 
-def hand_explains(
+def stands_beside_the_hand(
     estimate: PoseEstimate,
     track: Track,
     observation: Observation,
     hand: PackedHand,
+    obj: PackedObject,
     config: TrackerConfig,
 ) -> bool:
-    """Whether the hand of an answer explains the image about as well as the one that is followed.
+    """Whether what an answer takes for the object is no part of the hand that is followed.
 
-    If not, what the answer takes for the object may be a finger that it has elsewhere.
+    It is not if the image shows the object there and not that hand, or if the answer's own hand
+    explains the image as well as that one.
 
     Args:
         estimate: the answer, found.
         track: the track, with its hand as this image shows it.
         observation: the image.
-        hand: the hand.
+        hand, obj: the models.
         config: parameters.
     """
-    assert estimate.T_camera_hand is not None
+    sighting, c = Sighting.of(estimate), config.loss
     q = np.stack([track.joint_vector, hand.hand.joint_vector(estimate.joint_positions)])
-    links = hand.link_poses(q, np.stack([track.T_camera_hand, estimate.T_camera_hand]))
+    links = hand.link_poses(q, np.stack([track.T_camera_hand, sighting.T_camera_hand]))
     followed, found = (link_supports(observation, hand, T, config)[0].sum() for T in links)
-    return bool(found >= followed - config.loss.worse_hand * abs(followed))
+    if found >= followed - c.worse_hand * abs(followed):
+        return True
+    state = HandState(track.joint_vector, track.T_camera_hand, links[0], track.certain)
+    T = sighting.T_camera_object
+    there = replace(track, T_camera_object=T)
+    try:
+        segment = segment_near(observation, state, there, hand, obj, config)
+    except NoAnswer:
+        return False
+    evidence = gather_evidence(observation, state, segment, hand, config.estimator.evidence)
+    one, selection = T[None].astype(np.float32), config.estimator.selection
+    score = float(score_with_contact(evidence, obj, one, selection)[0])
+    return seen_confidence(c.again, score, c) >= c.lost
 
 
 def same_place(T: Array, other: Array, obj: PackedObject, config: TrackerConfig) -> bool:

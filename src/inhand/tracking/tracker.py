@@ -22,7 +22,7 @@ from inhand.tracking.gaussian import Array, about_origin
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
-from inhand.tracking.recovery import Sighting, hand_explains, resumed, same_place
+from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
 from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
@@ -165,7 +165,7 @@ class PoseTracker:
         if estimate.confidence < self.config.loss.accept:
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._no_answer(reason, clock)
-        if not self._hand_explains(estimate, image, camera):
+        if not self._stands_beside_the_hand(estimate, image, camera):
             return self._no_answer("the search takes a part of the hand for the object", clock)
         self._sighting = Sighting.of(estimate)
         if not self._confirmed(self._sighting, before):
@@ -175,18 +175,18 @@ class PoseTracker:
         T, covariance = self._track.T_camera_object, self._covariance()
         return replace(estimate, T_camera_object=T, timings=clock.seconds, covariance=covariance)
 
-    def _hand_explains(
+    def _stands_beside_the_hand(
         self, estimate: PoseEstimate, image: NDArray[np.float32], camera: Camera
     ) -> bool:
-        """Whether a search found a hand that is no worse than the followed one, if there is one."""
-        track, hand, config = self._track, self._hand, self.config
+        """Whether a search took no part of the followed hand for the object, if one is followed."""
+        track, hand, obj, config = self._track, self._hand, self._object, self.config
         if track is None:
             return True
         try:
-            observation = look_at(image, camera, track, hand, self._object, config)
+            observation = look_at(image, camera, track, hand, obj, config)
         except NoAnswer:
             return True
-        return hand_explains(estimate, track, observation, hand, config)
+        return stands_beside_the_hand(estimate, track, observation, hand, obj, config)
 
     def _confirmed(self, sighting: Sighting, before: Sighting | None) -> bool:
         """Whether track or last image agree on where a search found the object.
