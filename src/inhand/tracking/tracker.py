@@ -168,7 +168,7 @@ class PoseTracker:
         if not self._stands_beside_the_hand(estimate, image, camera):
             return self._no_answer("the search takes a part of the hand for the object", clock)
         self._sighting = Sighting.of(estimate)
-        if not self._confirmed(self._sighting, before):
+        if not self._confirmed(estimate, before):
             return self._no_answer("no second image agrees yet on where the object is", clock)
         self._lost = False
         self._track = self._resumed(estimate, given)
@@ -188,17 +188,17 @@ class PoseTracker:
             return True
         return stands_beside_the_hand(estimate, track, observation, hand, obj, config)
 
-    def _confirmed(self, sighting: Sighting, before: Sighting | None) -> bool:
-        """Whether track or last image agree on where a search found the object.
+    def _confirmed(self, estimate: PoseEstimate, before: Sighting | None) -> bool:
+        """Whether the track or the last image's search agree on where a search found the object.
 
-        The first search has nothing to agree with.
+        While there is no track, a search may be sure enough alone.
         """
-        if self._track is None:
-            return True
-        T, expected = sighting.T_camera_object, self._track.T_camera_object
-        if same_place(T, expected, self._object, self.config):
-            return True
-        return before is not None and sighting.agrees_with(before, self._object, self.config)
+        sighting, track, obj, config = Sighting.of(estimate), self._track, self._object, self.config
+        if track is None:
+            alone = estimate.confidence >= config.loss.sure
+        else:
+            alone = same_place(sighting.T_camera_object, track.T_camera_object, obj, config)
+        return alone or (before is not None and sighting.agrees_with(before, obj, config))
 
     def _resumed(self, estimate: PoseEstimate, given: Array) -> Track:
         """The track after a search."""
