@@ -92,9 +92,9 @@ def system(
     stride: int = 1,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal equations (s, 6 + n, 6 + n) and (s, 6 + n), and the twists of the joints (s, j, 6)."""
-    run = fit.begin(q, T_camera_hand, np.array([width]), stride)
+    run = fit.begin(q, T_camera_hand, width, stride)
     run.assemble()
-    return run.H.numpy(), run.g.numpy(), run.twists.numpy()
+    return run.state.H.numpy(), run.state.g.numpy(), run.state.twists.numpy()
 
 
 def link_jacobians(hand: PackedHand, twists: np.ndarray) -> np.ndarray:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -17,9 +19,10 @@ MARGIN = 0.01
 
 @pytest.fixture(scope="module")
 def bodies() -> list[DistanceField]:
-    """A sphere, a box and a finer box, of different grids."""
+    """A sphere, a box and a finer box, of different grids, in the precision of kernels."""
     shapes = (sphere(RADIUS), box(2 * HALF), box(4 * HALF))
-    return [build_distance_field(m, v, MARGIN) for m, v in zip(shapes, VOXELS, strict=True)]
+    fields = [build_distance_field(m, v, MARGIN) for m, v in zip(shapes, VOXELS, strict=True)]
+    return [replace(f, values=f.values.astype(np.float16).astype(np.float32)) for f in fields]
 
 
 def values(fields: list[DistanceField], body: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -57,7 +60,7 @@ def test_distance_and_gradient_of_a_sphere(bodies: list[DistanceField]) -> None:
     points, radius = points[radius > 0.005], radius[radius > 0.005]
     found = values(bodies, np.zeros(len(points), int), points)
     np.testing.assert_allclose(found[:, 0], radius - RADIUS, atol=2e-4)
-    np.testing.assert_allclose(np.linalg.norm(found[:, 1:], axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(found[:, 1:], axis=1), 1, atol=5e-4)
     outward = points / radius[:, None]
     assert np.einsum("ij,ij->i", found[:, 1:], outward).min() > 0.95
 

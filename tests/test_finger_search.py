@@ -9,6 +9,7 @@ from inhand.config import HandStateConfig
 from inhand.geometry.mesh import box
 from inhand.geometry.se3 import exp
 from inhand.stages.finger_search import FingerSearch
+from inhand.stages.hand_visibility import Support, hand_support
 from inhand.stages.observation import Observation
 
 CONFIG = HandStateConfig()
@@ -27,9 +28,15 @@ def best(search: FingerSearch, T_camera_hand: np.ndarray) -> np.ndarray:
     return q
 
 
-def certain(search: FingerSearch, q: np.ndarray, T_camera_hand: np.ndarray) -> np.ndarray:
+def support_of(observation: Observation, q: np.ndarray, T_camera_hand: np.ndarray) -> Support:
+    hand = built_in_hand()
+    links = hand.link_poses(q[None], T_camera_hand[None])[0]
+    return hand_support(observation, hand, links, CONFIG)
+
+
+def certain(observation: Observation, q: np.ndarray, T_camera_hand: np.ndarray) -> np.ndarray:
     """Whether the image supports each of the four finger links, finger by finger, shape (2, 2)."""
-    support = search.link_support(q, T_camera_hand)
+    support = support_of(observation, q, T_camera_hand).links
     links = [finger.links for finger in built_in_hand().hand.fingers]
     return np.asarray(support[np.array(links)] > CONFIG.certain_support)
 
@@ -44,9 +51,9 @@ def hand_pose(seed: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("seed", range(8))
 def test_the_joints_of_an_empty_hand_are_found(seed: int) -> None:
     q, T = hand_pose(seed)
-    search = search_of(seen(built_in_hand(), q, T))
-    np.testing.assert_allclose(best(search, T), q, atol=0.15)
-    assert certain(search, q, T).all()
+    observation = seen(built_in_hand(), q, T)
+    np.testing.assert_allclose(best(search_of(observation), T), q, atol=0.15)
+    assert certain(observation, q, T).all()
 
 
 @pytest.mark.parametrize("name", ["cuboid", "industrial_part", "cylinder"])
@@ -84,12 +91,12 @@ def test_a_finger_does_not_claim_the_readings_of_another(
     hand = built_in_hand()
     links = hand.hand.fingers[missing].links
     q, (_, T) = np.array([*bent, *bent]), hand_pose(1)
-    search = search_of(seen(hand, q, T, without=links))
-    found = best(search, T)
+    observation = seen(hand, q, T, without=links)
+    found = best(search_of(observation), T)
     there = list(hand.hand.fingers[1 - missing].joints)
     np.testing.assert_allclose(found[there], q[there], atol=0.15)
-    assert not certain(search, found, T)[missing].any()
-    assert certain(search, found, T)[1 - missing].all()
+    assert not certain(observation, found, T)[missing].any()
+    assert certain(observation, found, T)[1 - missing].all()
 
 
 @pytest.mark.parametrize("hidden", [0, 1])
@@ -100,24 +107,24 @@ def test_a_hidden_finger_has_no_support(hidden: int) -> None:
     tips = hand.link_poses(q[None], T[None])[0, [f.links[-1] for f in hand.hand.fingers], 0, 3]
     side = np.sign(tips[hidden] - tips[1 - hidden])
     board = exp(np.array([0, 0, 0, 0.8 * tips.mean() + side * 0.2, 0, 0.45]))
-    search = search_of(seen(hand, q, T, others=[(box([0.4, 0.6, 0.002]), board)]))
-    assert not certain(search, q, T)[hidden].any()
-    assert certain(search, q, T)[1 - hidden].all()
-    assert certain(search_of(seen(hand, q, T)), q, T).all()
+    observation = seen(hand, q, T, others=[(box([0.4, 0.6, 0.002]), board)])
+    assert not certain(observation, q, T)[hidden].any()
+    assert certain(observation, q, T)[1 - hidden].all()
+    assert certain(seen(hand, q, T), q, T).all()
 
 
 def test_a_finger_at_a_wrong_place_has_no_support() -> None:
     q, T = hand_pose(2)
-    search = search_of(seen(built_in_hand(), q, T))
-    np.testing.assert_array_equal(certain(search, q + [0.5, 0, 0, 0], T), [[0, 0], [1, 1]])
+    observation = seen(built_in_hand(), q, T)
+    np.testing.assert_array_equal(certain(observation, q + [0.5, 0, 0, 0], T), [[0, 0], [1, 1]])
 
 
 def test_the_whole_hand_has_support_where_it_is() -> None:
     q, T = hand_pose(2)
-    search = search_of(seen(built_in_hand(), q, T))
-    right = search.hand_support(q, T)
+    observation = seen(built_in_hand(), q, T)
+    right = support_of(observation, q, T).whole
     errors = exp(np.array([[0, 0, 0, 0, 0.02, 0], [0, 0, 0, 0.05, 0, 0], [0, 0, 1.0, 0, 0, 0]]))
-    wrong = [search.hand_support(q, T @ error) for error in errors]
+    wrong = [support_of(observation, q, T @ error).whole for error in errors]
     assert max(wrong) < right - 0.2
 
 

@@ -229,8 +229,8 @@ def test_distances_to_the_posed_hand(seed: int, farthest: float) -> None:
         points.astype(np.float32), scene.hand_state, scene.hand, links, farthest
     )
     expected = np.minimum(distance_to_hand(points, scene.hand, scene.hand_state), farthest)
-    # At the border between two voxels rounding decides.
-    assert np.mean(np.abs(found - expected) < 2e-6) > 0.98
+    # Fields are kept in half precision. At the border between two voxels rounding decides.
+    assert np.mean(np.abs(found - expected) < 2e-6 + 2**-11 * np.abs(expected)) > 0.98
     np.testing.assert_allclose(found, expected, atol=0.001)
 
 

@@ -34,15 +34,15 @@ def test_every_item_runs_exactly_once(dim: int, work_per_item: int) -> None:
 
 @pytest.fixture
 def launches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Sizes of the launches that Warp gets, on a machine of three cores."""
+    """Sizes of the launches that Warp runs, on a machine of three cores."""
     sizes: list[int] = []
-    warp_launch = wp.launch
+    run = wp.Launch.launch
 
-    def record(kernel: Any, dim: int, **arguments: Any) -> Any:
-        sizes.append(dim)
-        return warp_launch(kernel, dim=dim, **arguments)
+    def record(command: Any) -> None:
+        sizes.append(command.bounds.size)
+        run(command)
 
-    monkeypatch.setattr(wp, "launch", record)
+    monkeypatch.setattr(wp.Launch, "launch", record)
     monkeypatch.setattr(seam, "cpu_count", lambda: 3)
     return sizes
 

@@ -11,6 +11,7 @@ from inhand.config import HandStateConfig
 from inhand.errors import NoAnswer
 from inhand.geometry import se3
 from inhand.geometry.se3 import rotation_angle, transform
+from inhand.packed import PackedPart
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.hand_visibility import HandVisibility
 from inhand.tracking.config import TrackerConfig
@@ -150,13 +151,13 @@ def test_links_count_as_seen_as_the_estimator_counts_them(held: HeldObject) -> N
     start = replace(track_of(held, SURE), hand_covariance=np.eye(10) * 1e-14)
     found = follow_hand(held.observation, held.hand, start, config).state
     visibility = HandVisibility(held.observation, held.hand, shared)
-    for links in held.hand.finger_links:
-        for link in links:
-            score, seen = visibility.score(
-                link, found.joint_vector[None, link.joints], found.T_camera_hand[None]
-            )
-            supported = score[0] > shared.certain_support * max(seen[0], shared.min_seen)
-            assert found.certain[link.links[0]] == supported
+    for i in np.flatnonzero(~held.hand.is_palm):
+        link = PackedPart(held.hand.hand, [int(i)], "cpu")
+        score, seen = visibility.score(
+            link, found.joint_vector[None, link.joints], found.T_camera_hand[None]
+        )
+        supported = score[0] > shared.certain_support * max(seen[0], shared.min_seen)
+        assert found.certain[i] == supported
 
 
 def test_a_lost_finger_is_found_where_the_image_shows_it() -> None:

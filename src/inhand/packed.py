@@ -31,14 +31,14 @@ class PackedHand:
         fields: distance fields of the links, `kernels.fields.Fields`.
         points, normals: surface samples of all links, link frames, `wp.vec3`.
         link: index of the link of every sample, int.
-        point_start: first sample of every link, numpy (L + 1,).
+        point_start: first sample of every link, and the end of the last, numpy (L + 1,).
         spheres: bounding sphere of every link, link frame (centre, radius) [m], `wp.vec4`.
         chain: the kinematics, `kernels.kinematics.Chain`.
         lower, upper: limits of the independent joints [rad, m], float64 (n).
         is_palm: whether each link is rigid with the root, numpy (L,).
+        apart: whether two links belong to different parts, palm or fingers, flat (L * L), int.
         whole: all links, `PackedPart`.
         fingers: the fingers, in the order of `hand.fingers`, `PackedPart`.
-        finger_links: their links one by one, `PackedPart`.
         corners: corners of the links' bounding boxes, link frames [m], numpy (L, 8, 3).
     """
 
@@ -63,15 +63,18 @@ class PackedHand:
             wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
         )
         self.is_palm = np.isin(np.arange(len(hand.links)), hand.palm_links)
+        part = np.zeros(len(hand.links), dtype=int)
+        for i, finger in enumerate(hand.fingers):
+            part[list(finger.links)] = i + 1
+        apart = (part[:, None] != part).astype(np.int32)
+        self.apart = wp.array(apart.reshape(-1), dtype=int, device=device)
+        self._no_image = wp.empty(0, dtype=int, device=device)
         boxes = np.stack([link.mesh.bounds for link in hand.links])
         self.corners = np.stack(
             [boxes[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1
         )
         self.whole = PackedPart(hand, range(len(hand.links)), device)
         self.fingers = [PackedPart(hand, finger.links, device) for finger in hand.fingers]
-        self.finger_links = [
-            [PackedPart(hand, [link], device) for link in finger.links] for finger in hand.fingers
-        ]
 
     @cached_property
     def palm(self) -> "PackedPart":
@@ -95,10 +98,16 @@ class PackedHand:
         T_camera_link: NDArray[np.floating[Any]],
         shown: NDArray[np.bool_],
         others: Any = None,
+        link: Any = None,
     ) -> Any:
         """Depth image [m] of the links that are `shown` (L,), flat, on the device.
 
-        `others` is an image of what else is there.
+        Args:
+            camera: the camera.
+            T_camera_link: poses of the links, shape (L, 4, 4).
+            shown: whether to draw each of them, shape (L,).
+            others: an image of what else is there.
+            link: in and out, if given: the link that every pixel shows, int.
         """
         if others is None:
             depth = wp.zeros(camera.width * camera.height, dtype=float, device=self.device)
@@ -117,6 +126,7 @@ class PackedHand:
                 wp.array(windows, dtype=wp.vec4i, device=self.device, copy=False),
                 wp.vec4i(*around),
                 depth,
+                self._no_image if link is None else link,
             ],
             self.device,
             work_per_item=30,

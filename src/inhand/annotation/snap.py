@@ -22,6 +22,7 @@ from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
 from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import Evidence, gather_evidence, score_with_contact
 from inhand.stages.finger_search import FingerSearch
+from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation, observe
 from inhand.stages.refinement import fit_to_field
 from inhand.stages.results import HandState
@@ -152,7 +153,8 @@ class Snapper:
         q, T = search.best_combination(*fit.refine(starts, wrists, widths, c.start_stride))
         widths = np.geomspace(c.middle_width, c.last_width, c.last_iterations)
         q, T = fit.refine(q[None], T[None], widths)
-        if search.hand_support(q[0], T[0]) < c.min_hand_support:
+        T_camera_link = hand.link_poses(q, T)[0]
+        if hand_support(observation, hand, T_camera_link, c).whole < c.min_hand_support:
             raise NoAnswer("the image does not show the hand where it is; move it closer")
         joints = self._unless_idle(search, given, q[0], T)
         return replace(

@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False})
 class Fields:
     """Distance fields of bodies 0..b-1, one after the other in `values`."""
 
-    values: wp.array(dtype=wp.vec4)
+    values: wp.array(dtype=wp.vec4h)
     """Signed distance [m], negative inside, and its unit gradient, at the voxel centres."""
     start: wp.array(dtype=int)
     size: wp.array(dtype=wp.vec3i)
@@ -31,8 +31,8 @@ def pack_fields(fields: Sequence[DistanceField], device: str) -> Any:
     """`fields` as one kernel argument."""
     counts = [int(np.prod(f.values.shape[:3])) for f in fields]
     packed = Fields()
-    values = np.concatenate([f.values.reshape(-1, 4) for f in fields])
-    packed.values = wp.array(values, dtype=wp.vec4, device=device)
+    values = np.concatenate([f.values.reshape(-1, 4).astype(np.float16) for f in fields])
+    packed.values = wp.array(values, dtype=wp.vec4h, device=device)
     packed.start = wp.array(np.cumsum([0, *counts[:-1]]), dtype=int, device=device)
     packed.size = wp.array([f.values.shape[:3] for f in fields], dtype=wp.vec3i, device=device)
     packed.origin = wp.array([f.origin for f in fields], dtype=wp.vec3, device=device)
@@ -71,8 +71,8 @@ def field_at(fields: Fields, body: int, p: wp.vec3):
     j = int(inside[1] + 0.5)
     k = int(inside[2] + 0.5)
     value = fields.values[fields.start[body] + (i * size[1] + j) * size[2] + k]
-    gradient = wp.vec3(value[1], value[2], value[3])
+    gradient = wp.vec3(float(value[1]), float(value[2]), float(value[3]))
     offset = inside - wp.vec3(float(i), float(j), float(k))
     beyond = wp.length(local - inside)
-    distance = value[0] + voxel * (wp.dot(gradient, offset) + beyond)
+    distance = float(value[0]) + voxel * (wp.dot(gradient, offset) + beyond)
     return wp.vec4(distance, gradient[0], gradient[1], gradient[2])

@@ -1,73 +1,58 @@
-"""Steps of a Gauss-Newton over wrist and joints, from the sums of `kernels.hand_fit`."""
+"""Gauss-Newton over wrist and joints, from the sums of `kernels.hand_terms`.
+
+A work item is a start of the fit: the few threads of a CPU have one each, for all its iterations.
+"""
 
 import warp as wp
 
-from inhand.kernels.hand_fit import TERMS
-from inhand.kernels.kinematics import Chain, Twist, joint_twist, position_of, rigid, rotation_of
+from inhand.kernels.hand_terms import TERMS, FitProblem, FitState, add_terms
+from inhand.kernels.kinematics import (
+    Twist,
+    joint_twist,
+    place_links,
+    position_of,
+    rigid,
+    rotation_of,
+)
 
 wp.set_module_options({"enable_backward": False})
 
 Matrix6 = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 
 
-@wp.struct
-class WristPrior:
-    """What is known of the wrist before looking, with the information it is known with."""
-
-    T_camera_hand: wp.mat44d
-    rotation: wp.float64
-    """Per axis [1/rad^2]."""
-    translation: wp.float64
-    """Per axis [1/m^2]."""
-
-
-@wp.kernel
-def normal_equations(
-    chain: Chain,
-    free: wp.array(dtype=int),
-    T_camera_hand: wp.array(dtype=wp.mat44d),
-    T_camera_joint: wp.array2d(dtype=wp.mat44d),
-    terms: wp.array(dtype=float),
-    n_blocks: int,
-    twists: wp.array2d(dtype=Twist),
-    H: wp.array3d(dtype=wp.float64),
-    g: wp.array2d(dtype=wp.float64),
-    first: int,
-):
-    """One work item a start: the links' sums as one system H x = g over wrist and joints.
+@wp.func
+def assemble(problem: FitProblem, state: FitState, s: int):
+    """Bring the links of start `s` to their places and make their sums one system H x = g.
 
     The parameters are rotation and translation of the wrist and the n independent joints. The twist
     of a link is that of the wrist plus those of the joints that carry it.
-
-    Args (beyond the obvious):
-        free: per independent joint, 0 holds it.
-        terms: the links' sums, flat (s, block, link, TERMS), about the wrist's origin.
-        twists: out, twist of what each joint carries per unit of its source, (s, j).
-        H, g: out, (s, 6 + n, 6 + n) and (s, 6 + n).
     """
-    s = first + wp.tid()
+    chain = problem.chain
+    H, g, twists = state.H, state.g, state.twists
+    wrist_pose = state.T_camera_hand[s]
+    place_links(chain, state.q, wrist_pose, s, state.T_camera_joint, state.T_camera_link)
+    add_terms(problem, state, s)
     for i in range(g.shape[1]):
         g[s, i] = wp.float64(0.0)
         for j in range(g.shape[1]):
             H[s, i, j] = wp.float64(0.0)
-    wrist = position_of(T_camera_hand[s])
+    wrist = position_of(wrist_pose)
     for joint in range(chain.parent.shape[0]):
         twists[s, joint] = Twist()
-        if free[chain.source[joint]] != 0:
-            twists[s, joint] = joint_twist(chain, joint, T_camera_joint[s, joint], wrist)
+        if problem.free[chain.source[joint]] != 0:
+            twists[s, joint] = joint_twist(chain, joint, state.T_camera_joint[s, joint], wrist)
     links = chain.link_joint.shape[0]
     for link in range(links):
         A = Matrix6()
         b = Twist()
-        for block in range(n_blocks):
-            k = ((s * n_blocks + block) * links + link) * TERMS
-            for row in range(6):
-                for column in range(row, 6):
-                    A[row, column] += wp.float64(terms[k])
-                    k += 1
-            for row in range(6):
-                b[row] += wp.float64(terms[k])
+        k = (s * links + link) * TERMS
+        for row in range(6):
+            for column in range(row, 6):
+                A[row, column] = wp.float64(state.terms[k])
                 k += 1
+        for row in range(6):
+            b[row] = wp.float64(state.terms[k])
+            k += 1
         for row in range(6):
             g[s, row] = g[s, row] + b[row]
             for column in range(row):
@@ -140,52 +125,47 @@ def turned(R: wp.mat33d, turn: wp.vec3d):
     return wp.quat_to_matrix(wp.quat_from_axis_angle(turn / angle, angle)) * R
 
 
-@wp.kernel
-def gauss_newton_step(
-    H: wp.array3d(dtype=wp.float64),
-    g: wp.array2d(dtype=wp.float64),
-    information: wp.float64,
-    prior: WristPrior,
-    joint_damping: wp.float64,
-    lower: wp.array(dtype=wp.float64),
-    upper: wp.array(dtype=wp.float64),
-    q: wp.array2d(dtype=wp.float64),
-    T_camera_hand: wp.array(dtype=wp.mat44d),
-    iteration: wp.array(dtype=int),
-    first: int,
-):
-    """One work item a start: solve the system with its priors and move joints and wrist.
-
-    Args (beyond the obvious):
-        H, g: see `normal_equations`; overwritten.
-        information: information of one point [1/m^2].
-        joint_damping: information that holds every joint where it is [1/rad^2].
-        lower, upper: limits of the joints [rad, m].
-        q, T_camera_hand: in and out.
-        iteration: in and out, iterations of every start.
-    """
-    s = first + wp.tid()
+@wp.func
+def take_step(problem: FitProblem, state: FitState, s: int):
+    """Solve the system of start `s` with its priors and move joints and wrist."""
+    H, g = state.H, state.g
     n = g.shape[1]
     for a in range(n):
-        g[s, a] = g[s, a] * information
+        g[s, a] = g[s, a] * problem.information
         for b in range(n):
-            H[s, a, b] = H[s, a, b] * information
-    T = T_camera_hand[s]
+            H[s, a, b] = H[s, a, b] * problem.information
+    T = state.T_camera_hand[s]
     R = rotation_of(T)
-    turn = rotation_vector(rotation_of(prior.T_camera_hand) * wp.transpose(R))
-    way = position_of(prior.T_camera_hand) - position_of(T)
+    tilt = rotation_vector(rotation_of(problem.prior.T_camera_hand) * wp.transpose(R))
+    way = position_of(problem.prior.T_camera_hand) - position_of(T)
     for a in range(3):
-        H[s, a, a] = H[s, a, a] + prior.rotation
-        g[s, a] = g[s, a] + prior.rotation * turn[a]
-        H[s, 3 + a, 3 + a] = H[s, 3 + a, 3 + a] + prior.translation
-        g[s, 3 + a] = g[s, 3 + a] + prior.translation * way[a]
+        H[s, a, a] = H[s, a, a] + problem.prior.rotation
+        g[s, a] = g[s, a] + problem.prior.rotation * tilt[a]
+        H[s, 3 + a, 3 + a] = H[s, 3 + a, 3 + a] + problem.prior.translation
+        g[s, 3 + a] = g[s, 3 + a] + problem.prior.translation * way[a]
     for a in range(6, n):
-        H[s, a, a] = H[s, a, a] + joint_damping
+        H[s, a, a] = H[s, a, a] + problem.joint_damping
     solve_in_place(H, g, s)
     most = wp.float64(0.3)
     for a in range(6, n):
-        moved = q[s, a - 6] + wp.clamp(g[s, a], -most, most)
-        q[s, a - 6] = wp.clamp(moved, lower[a - 6], upper[a - 6])
+        moved = state.q[s, a - 6] + wp.clamp(g[s, a], -most, most)
+        state.q[s, a - 6] = wp.clamp(moved, problem.lower[a - 6], problem.upper[a - 6])
     step = wp.vec3d(g[s, 3], g[s, 4], g[s, 5])
-    T_camera_hand[s] = rigid(turned(R, wp.vec3d(g[s, 0], g[s, 1], g[s, 2])), position_of(T) + step)
-    iteration[s] = iteration[s] + 1
+    turn = wp.vec3d(g[s, 0], g[s, 1], g[s, 2])
+    state.T_camera_hand[s] = rigid(turned(R, turn), position_of(T) + step)
+    state.iteration[s] = state.iteration[s] + 1
+
+
+@wp.kernel
+def assemble_systems(problem: FitProblem, state: FitState, first: int):
+    """One work item a start: its system, without priors, where its joints and wrist are."""
+    assemble(problem, state, first + wp.tid())
+
+
+@wp.kernel
+def refine_states(problem: FitProblem, state: FitState, first: int):
+    """One work item a start: all its iterations."""
+    s = first + wp.tid()
+    for _ in range(problem.widths.shape[0]):
+        assemble(problem, state, s)
+        take_step(problem, state, s)

@@ -38,6 +38,7 @@ def trace_bodies(
     windows: wp.array(dtype=wp.vec4i),
     around: wp.vec4i,
     depth: wp.array(dtype=float),
+    shown: wp.array(dtype=int),
     first: int,
 ):
     """One work item a pixel of a window: depth z [m] of the nearest body along its ray.
@@ -49,6 +50,7 @@ def trace_bodies(
         windows: per body, the pixels (u0, v0, u1, v1) that it can show in, the ends not included.
         around: a window around these.
         depth: in and out, of the whole image: what else is there [m], or 0.
+        shown: in and out, the body that every pixel shows; left alone if it is empty.
     """
     item = first + wp.tid()
     columns = around[2] - around[0]
@@ -58,6 +60,7 @@ def trace_bodies(
     length = wp.length(ray)
     pixel = v * camera.width + u
     nearest = depth[pixel]
+    winner = int(-1)
     if nearest <= 0.0:
         nearest = 1.0e6
     for body in range(windows.shape[0]):
@@ -78,8 +81,11 @@ def trace_bodies(
             approach = -wp.dot(wp.vec3(value[1], value[2], value[3]), direction)
             if value[0] * length < AHEAD * approach:
                 nearest = wp.min(nearest, z + value[0] / wp.max(approach, 0.1))
+                winner = body
                 end = 0.0
             z += wp.max(0.9 * value[0], 0.5 * AHEAD) / length
             step += 1
-    if nearest < 1.0e6:
+    if winner >= 0:
         depth[pixel] = nearest
+        if shown.shape[0] > 0:
+            shown[pixel] = winner

@@ -1,16 +1,12 @@
-"""Agreement of a posed hand with the depth image: scores, and the terms of its Gauss-Newton fit."""
+"""Agreement of a posed hand with the depth image."""
 
 import warp as wp
 
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.depth import Pinhole
 from inhand.kernels.fields import Fields
-from inhand.kernels.kinematics import position_of
 
 wp.set_module_options({"enable_backward": False})
-
-# Per block and link: 21 numbers of the symmetric 6x6 matrix, 6 of the right-hand side, the weight.
-TERMS = 28
 
 
 @wp.struct
@@ -133,29 +129,72 @@ def score_configurations(
     seen[c] = open_area / area
 
 
-@wp.func
-def add_term(
-    out: wp.array(dtype=float), at: int, moment: wp.vec3, direction: wp.vec3, r: float, w: float
+Support = wp.types.vector(length=5, dtype=float)
+"""Sums over camera-facing surface samples: the area; the judgements and the area that nothing hides
+of what no other part hides or explains; both of the rest."""
+
+
+@wp.kernel
+def link_support(
+    view: DepthView,
+    rule: Visibility,
+    T_camera_link: wp.array(dtype=wp.mat44),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    start: wp.array(dtype=int),
+    most: int,
+    fields: Fields,
+    spheres: wp.array(dtype=wp.vec4),
+    apart: wp.array(dtype=int),
+    hand_depth: wp.array(dtype=float),
+    hand_link: wp.array(dtype=int),
+    hand_step: int,
+    sums: wp.array(dtype=Support),
+    first: int,
 ):
-    """Add w j j^T and w j r to the terms at `at`, for j = (moment, direction)."""
-    j = wp.vector(
-        moment[0],
-        moment[1],
-        moment[2],
-        direction[0],
-        direction[1],
-        direction[2],
-    )
-    k = at
-    for a in range(6):
-        wa = w * j[a]
-        for b in range(a, 6):
-            out[k] = out[k] + wa * j[b]
-            k += 1
-    for a in range(6):
-        out[k] = out[k] + w * j[a] * r
-        k += 1
-    out[k] = out[k] + w
+    """One work item a link: judgements of its camera-facing surface samples.
+
+    Args (beyond the obvious):
+        points, normals: surface samples of all links, link frames.
+        start: first sample of every link, and the end of the last.
+        most: about how many samples of a link are used.
+        fields, spheres: distance fields of the links and spheres that hold them, link frames [m].
+        apart: flat (L, L), whether two links belong to different parts of the hand; what another
+            part hides, or explains as well, is summed apart.
+        hand_depth, hand_link: rendered depth [m] of the hand and the link that it shows, -1 for
+            none, at every `hand_step`-th pixel.
+        sums: out, see `Support`, for all samples of the link.
+    """
+    k = first + wp.tid()
+    T = T_camera_link[k]
+    sum = Support()
+    sum[0] = 1.0e-6
+    stride = wp.max(1, (start[k + 1] - start[k]) // most)
+    parts = k * spheres.shape[0]
+    for i in range(start[k], start[k + 1], stride):
+        p = wp.transform_point(T, points[i])
+        n = wp.transform_vector(T, normals[i])
+        facing = -wp.dot(n, p) / wp.length(p)
+        if facing < 0.1:
+            continue
+        sum[0] += facing
+        pixel = pixel_of(view.camera, p)
+        if pixel < 0:
+            continue
+        _distance, _gradient, other = nearest_body(
+            fields, spheres, T_camera_link, 0, apart, parts, p, rule.tolerance
+        )
+        coarse = coarse_pixel(view.camera.width, hand_step, pixel)
+        shown = hand_link[coarse]
+        hidden = shown >= 0 and hand_depth[coarse] < p[2] + rule.tolerance
+        at = int(1)
+        if other >= 0 or (hidden and apart[parts + wp.max(shown, 0)] != 0):
+            at = int(3)
+        sum[at] += facing * judge_point(view, rule, p, n, pixel)
+        d = view.depth[pixel]
+        if d <= 0.0 or d > p[2] - rule.tolerance:
+            sum[at + 1] += facing
+    sums[k] = float(stride) * sum
 
 
 @wp.func
@@ -165,109 +204,6 @@ def redescending(r: float, width: float):
     if x * x >= 1.0:
         return 0.0
     return (1.0 - x * x) * (1.0 - x * x)
-
-
-@wp.kernel
-def scene_to_hand_terms(
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
-    used: wp.array(dtype=int),
-    T_camera_link: wp.array(dtype=wp.mat44),
-    T_camera_hand: wp.array(dtype=wp.mat44d),
-    widths: wp.array(dtype=float),
-    iteration: wp.array(dtype=int),
-    n_blocks: int,
-    stride: int,
-    terms: wp.array(dtype=float),
-    first: int,
-):
-    """One work item a start and block of scene points: distance to the nearest link's surface.
-
-    Args (beyond the obvious):
-        spheres: bounding sphere of every link's field, link frame (centre, radius) [m].
-        used: per link, 0 leaves it out.
-        T_camera_link: link poses of all starts, flat (s * n_links).
-        T_camera_hand: wrists of all starts; rotations are about their origins.
-        widths: width of the redescending weight in every iteration [m].
-        iteration: which iteration every start is at.
-        n_blocks: blocks per start, which take turns in taking points.
-        stride: every so-many-th point takes part.
-        terms: out, flat (s, block, link, TERMS).
-    """
-    item = first + wp.tid()
-    start = item // n_blocks
-    n_links = used.shape[0]
-    for k in range(item * n_links * TERMS, (item + 1) * n_links * TERMS):
-        terms[k] = 0.0
-    c = wp.vec3(position_of(T_camera_hand[start]))
-    width = widths[iteration[start]]
-    for i in range(item % n_blocks * stride, points.shape[0], n_blocks * stride):
-        p = points[i]
-        distance, gradient, k = nearest_body(
-            fields, spheres, T_camera_link, start * n_links, used, 0, p, width
-        )
-        if k < 0:
-            continue
-        w = redescending(distance, width) * wp.max(0.0, wp.dot(gradient, normals[i]))
-        if w <= 0.0:
-            continue
-        at = (item * n_links + k) * TERMS
-        add_term(terms, at, wp.cross(p - c, gradient), gradient, distance, w)
-
-
-@wp.kernel
-def hand_to_scene_terms(
-    view: DepthView,
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    link: wp.array(dtype=int),
-    used: wp.array(dtype=int),
-    T_camera_link: wp.array(dtype=wp.mat44),
-    T_camera_hand: wp.array(dtype=wp.mat44d),
-    widths: wp.array(dtype=float),
-    iteration: wp.array(dtype=int),
-    n_blocks: int,
-    stride: int,
-    terms: wp.array(dtype=float),
-    first: int,
-):
-    """One work item a start and block of surface samples: plane distance to the pixel they fall on.
-
-    Arguments as `scene_to_hand_terms`; terms are added to what is there.
-    """
-    item = first + wp.tid()
-    start = item // n_blocks
-    block = item % n_blocks
-    n_links = used.shape[0]
-    c = wp.vec3(position_of(T_camera_hand[start]))
-    width = widths[iteration[start]]
-    for i in range(block * stride, points.shape[0], n_blocks * stride):
-        k = link[i]
-        if used[k] == 0:
-            continue
-        T = T_camera_link[start * n_links + k]
-        p = wp.transform_point(T, points[i])
-        n = wp.transform_vector(T, normals[i])
-        facing = -wp.dot(n, p) / wp.length(p)
-        if facing < 0.15:
-            continue
-        pixel = pixel_of(view.camera, p)
-        if pixel < 0:
-            continue
-        d = view.depth[pixel]
-        if d <= 0.0:
-            continue
-        # The reading on the ray through the sample.
-        r = (d / p[2] - 1.0) * wp.dot(n, p)
-        if wp.abs(d - p[2]) > width:
-            continue
-        w = facing * redescending(r, width) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
-        if w <= 0.0:
-            continue
-        at = (item * n_links + k) * TERMS
-        add_term(terms, at, wp.cross(p - c, n), n, r, w)
 
 
 @wp.kernel

@@ -60,6 +60,32 @@ def joint_motion(chain: Chain, joint: int, position: wp.float64):
     return rigid(turn, wp.vec3d())
 
 
+@wp.func
+def place_links(
+    chain: Chain,
+    q: wp.array2d(dtype=wp.float64),
+    T_camera_root: wp.mat44d,
+    c: int,
+    T_camera_joint: wp.array2d(dtype=wp.mat44d),
+    T_camera_link: wp.array(dtype=wp.mat44),
+):
+    """Write where joints and links of configuration `c` are."""
+    for joint in range(chain.parent.shape[0]):
+        T = T_camera_root
+        if chain.parent[joint] >= 0:
+            T = T_camera_joint[c, chain.parent[joint]]
+        position = q[c, chain.source[joint]] * chain.multiplier[joint] + chain.offset[joint]
+        T_camera_joint[c, joint] = (
+            T * chain.T_parent_joint[joint] * joint_motion(chain, joint, position)
+        )
+    links = chain.link_joint.shape[0]
+    for link in range(links):
+        T = T_camera_root
+        if chain.link_joint[link] >= 0:
+            T = T_camera_joint[c, chain.link_joint[link]]
+        T_camera_link[c * links + link] = wp.mat44(T * chain.T_joint_link[link])
+
+
 @wp.kernel
 def pose_links(
     chain: Chain,
@@ -78,21 +104,8 @@ def pose_links(
         T_camera_link: out, flat (c * L).
     """
     c = first + wp.tid()
-    T_camera_root = T_camera_hand[wp.min(c, T_camera_hand.shape[0] - 1)]
-    for joint in range(chain.parent.shape[0]):
-        T = T_camera_root
-        if chain.parent[joint] >= 0:
-            T = T_camera_joint[c, chain.parent[joint]]
-        position = q[c, chain.source[joint]] * chain.multiplier[joint] + chain.offset[joint]
-        T_camera_joint[c, joint] = (
-            T * chain.T_parent_joint[joint] * joint_motion(chain, joint, position)
-        )
-    links = chain.link_joint.shape[0]
-    for link in range(links):
-        T = T_camera_root
-        if chain.link_joint[link] >= 0:
-            T = T_camera_joint[c, chain.link_joint[link]]
-        T_camera_link[c * links + link] = wp.mat44(T * chain.T_joint_link[link])
+    root = T_camera_hand[wp.min(c, T_camera_hand.shape[0] - 1)]
+    place_links(chain, q, root, c, T_camera_joint, T_camera_link)
 
 
 @wp.func

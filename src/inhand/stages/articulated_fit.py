@@ -4,10 +4,10 @@ Residuals are distances of scene points to the nearest link's surface and of vis
 to the plane of the reading on their ray, both with a redescending weight. The kernels sum them to
 one 6x6 system a link; the kinematics turn these into a system over wrist and joints. Directions
 that the image does not determine stay at the prior of the wrist pose. All iterations run on the
-device, from launches that are prepared once.
+device.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,22 +17,15 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.kernels import gauss_newton as kernels
+from inhand.kernels import hand_terms
 from inhand.kernels.depth import pinhole
-from inhand.kernels.gauss_newton import gauss_newton_step, normal_equations
-from inhand.kernels.hand_fit import (
-    TERMS,
-    DepthView,
-    hand_to_scene_terms,
-    scene_to_hand_terms,
-)
-from inhand.kernels.kinematics import Twist, pose_links
-from inhand.kernels.launch import prepare
+from inhand.kernels.hand_fit import DepthView
+from inhand.kernels.kinematics import Twist
+from inhand.kernels.launch import launch, prepare
 from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
 
 Array = NDArray[np.float64]
-BLOCKS = 16
-Launch = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -83,16 +76,20 @@ class ArticulatedFit:
     ) -> None:
         device = hand.device
         self.hand = hand
-        self.point_information, self.joint_damping = point_information, joint_damping
-        self.prior = kernels.WristPrior()
-        self.prior.T_camera_hand = wp.mat44d(prior.T_camera_hand)
-        self.prior.rotation = prior.sd_rotation**-2.0
-        self.prior.translation = prior.sd_translation**-2.0
-        self.free = wp.array(free.astype(np.int32), dtype=int, device=device)
-        self.view = depth_view(observation)
-        self.points = wp.array(observation.points, dtype=wp.vec3, device=device)
-        self.normals = wp.array(observation.normals, dtype=wp.vec3, device=device)
-        self.used = wp.array(used.astype(np.int32), dtype=int, device=device)
+        self.point_information = point_information
+        p = hand_terms.FitProblem()
+        p.view = depth_view(observation)
+        p.points = wp.array(observation.points, dtype=wp.vec3, device=device)
+        p.normals = wp.array(observation.normals, dtype=wp.vec3, device=device)
+        p.fields, p.spheres, p.chain = hand.fields, hand.spheres, hand.chain
+        p.hand_points, p.hand_normals, p.hand_link = hand.points, hand.normals, hand.link
+        p.lower, p.upper = hand.lower, hand.upper
+        p.used = wp.array(used.astype(np.int32), dtype=int, device=device)
+        p.free = wp.array(free.astype(np.int32), dtype=int, device=device)
+        p.prior.T_camera_hand = wp.mat44d(prior.T_camera_hand)
+        p.prior.rotation, p.prior.translation = prior.sd_rotation**-2.0, prior.sd_translation**-2.0
+        p.joint_damping = joint_damping
+        self.problem = p
 
     def refine(
         self, q: Array, T_camera_hand: Array, widths: Array, stride: int = 1
@@ -105,89 +102,50 @@ class ArticulatedFit:
             widths: width of the redescending weight in every iteration [m].
             stride: every so-many-th point takes part.
         """
-        fit = self.begin(q, T_camera_hand, widths, stride)
-        for _ in widths:
-            fit.assemble()
-            fit.step()
-        return fit.q.numpy().copy(), fit.T_camera_hand.numpy().copy()
+        problem, state = self._start(q, T_camera_hand, widths, stride)
+        work = len(widths) * self._work(stride)
+        inputs = [problem, state]
+        launch(kernels.refine_states, len(q), inputs, self.hand.device, work_per_item=work)
+        return state.q.numpy(), state.T_camera_hand.numpy()
 
-    def begin(
-        self, q: Array, T_camera_hand: Array, widths: Array, stride: int = 1
-    ) -> "FitInProgress":
-        """A refinement whose iterations are still to be done; arguments as `refine`."""
-        hand, device, starts = self.hand, self.hand.device, len(q)
-        links, parameters = len(hand.hand.links), 6 + q.shape[1]
-        empty = partial(wp.empty, device=device)
-        q_now = wp.array(q, dtype=wp.float64, device=device)
-        T_now = wp.array(T_camera_hand, dtype=wp.mat44d, device=device)
-        T_joint = empty((starts, len(hand.hand.chain.parent)), dtype=wp.mat44d)
-        T_link = empty(starts * links, dtype=wp.mat44)
-        twists = empty(T_joint.shape, dtype=Twist)
-        terms = empty(starts * BLOCKS * links * TERMS, dtype=float)
-        H = empty((starts, parameters, parameters), dtype=wp.float64)
-        g = empty((starts, parameters), dtype=wp.float64)
-        iteration = wp.zeros(starts, dtype=int, device=device)
-        all_widths = wp.array(widths, dtype=float, device=device)
-        sums = [self.used, T_link, T_now, all_widths, iteration, BLOCKS, stride, terms]
-
-        def launches(kernel: Any, items: int, inputs: list[Any], work: int = 1) -> Launch:
-            return prepare(kernel, items, inputs, device, work_per_item=work)
-
-        return FitInProgress(
-            q_now,
-            T_now,
-            twists,
-            H,
-            g,
-            [
-                launches(pose_links, starts, [hand.chain, q_now, T_now, T_joint, T_link]),
-                launches(
-                    scene_to_hand_terms,
-                    starts * BLOCKS,
-                    [self.points, self.normals, hand.fields, hand.spheres, *sums],
-                    10 * len(self.points) // BLOCKS // stride,
-                ),
-                launches(
-                    hand_to_scene_terms,
-                    starts * BLOCKS,
-                    [self.view, hand.points, hand.normals, hand.link, *sums],
-                    4 * len(hand.points) // BLOCKS // stride,
-                ),
-                launches(
-                    normal_equations,
-                    starts,
-                    [hand.chain, self.free, T_now, T_joint, terms, BLOCKS, twists, H, g],
-                ),
-            ],
-            launches(
-                gauss_newton_step,
-                starts,
-                [H, g, stride * self.point_information, self.prior, self.joint_damping]
-                + [hand.lower, hand.upper, q_now, T_now, iteration],
-            ),
+    def begin(self, q: Array, T_camera_hand: Array, width: float, stride: int) -> "FitInProgress":
+        """A refinement that is done step by step; arguments as `refine`, of one width."""
+        problem, state = self._start(q, T_camera_hand, np.array([width]), stride)
+        inputs, work = [problem, state], self._work(stride)
+        assemble = prepare(
+            kernels.assemble_systems, len(q), inputs, self.hand.device, work_per_item=work
         )
+        return FitInProgress(state, assemble)
+
+    def _work(self, stride: int) -> int:
+        return (10 * len(self.problem.points) + 4 * len(self.problem.hand_points)) // stride
+
+    def _start(self, q: Array, T_camera_hand: Array, widths: Array, stride: int) -> tuple[Any, Any]:
+        """Arguments of the kernels, for a refinement that is still to be done."""
+        hand, device, starts, parameters = self.hand, self.hand.device, len(q), 6 + q.shape[1]
+        links, joints = len(hand.hand.links), len(hand.hand.chain.parent)
+        empty = partial(wp.empty, device=device)
+        problem, state = self.problem, hand_terms.FitState()
+        problem.widths = wp.array(widths, dtype=float, device=device)
+        problem.stride = stride
+        problem.information = stride * self.point_information
+        state.q = wp.array(q, dtype=wp.float64, device=device)
+        state.T_camera_hand = wp.array(T_camera_hand, dtype=wp.mat44d, device=device)
+        state.iteration = wp.zeros(starts, dtype=int, device=device)
+        state.T_camera_joint = empty((starts, joints), dtype=wp.mat44d)
+        state.T_camera_link = empty(starts * links, dtype=wp.mat44)
+        state.terms = empty(starts * links * hand_terms.TERMS, dtype=float)
+        state.twists = empty((starts, joints), dtype=Twist)
+        state.H = empty((starts, parameters, parameters), dtype=wp.float64)
+        state.g = empty((starts, parameters), dtype=wp.float64)
+        return problem, state
 
 
 @dataclass(frozen=True)
 class FitInProgress:
-    """What a refinement changes, on the device, and the launches of one iteration in order."""
+    """A refinement between its steps."""
 
-    q: Any
-    """Joint vectors [rad, m], (s, n)."""
-    T_camera_hand: Any
-    """Wrist poses, (s)."""
-    twists: Any
-    """Twists of the joints, see `normal_equations`, (s, j)."""
-    H: Any
-    """Matrices of the systems, (s, 6 + n, 6 + n)."""
-    g: Any
-    """Right-hand sides, (s, 6 + n)."""
-    sums: Sequence[Launch]
-    """Make the systems, without priors, where joints and wrists are."""
-    step: Launch
-    """Solve the systems with their priors and move joints and wrists."""
-
-    def assemble(self) -> None:
-        """Run `sums`."""
-        for launch in self.sums:
-            launch()
+    state: Any
+    """What it changes, on the device, `kernels.hand_terms.FitState`."""
+    assemble: Callable[[], None]
+    """Makes the systems `state.H` x = `state.g`, without priors, where joints and wrists are."""

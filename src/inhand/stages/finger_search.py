@@ -36,6 +36,7 @@ class FingerSearch:
         self.scale[slides] = config.slide_scale
         self.camera = observation.camera.subsampled(config.render_step)
         self.visibility = HandVisibility(observation, hand, config)
+        self._palm_depth: Any = None
 
     def alternatives(
         self, T_camera_hand: Array, rng: np.random.Generator
@@ -47,7 +48,7 @@ class FingerSearch:
         before it, among its better configurations.
         """
         fingers, q = self.packed.fingers, self.hand.rest.copy()
-        there = self._palm(self._poses(q, T_camera_hand))
+        there = self._palm(q, T_camera_hand)
         found = [self._range(finger) for finger in fingers]
         scores = [
             self._coarse_score(finger, tried, T_camera_hand, there)
@@ -74,8 +75,14 @@ class FingerSearch:
             q: refined joint vectors, shape (s, n).
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
-        there, fingers = self._palm(self._poses(q[0], T_camera_hand[0])), self.packed.fingers
-        alone = [self.visibility.score(f, q[:, f.joints], T_camera_hand, there)[0] for f in fingers]
+        fingers, rule = self.packed.fingers, (self.config.fine_tolerance, self.config.fine_points)
+
+        def scores(finger: PackedPart, others: Any) -> Array:
+            joints = q[:, finger.joints]
+            return self.visibility.score(finger, joints, T_camera_hand, others, *rule)[0]
+
+        there = self._palm(q[0], T_camera_hand[0])
+        alone = [scores(finger, there) for finger in fingers]
         best = np.sum(alone, axis=0).argmax()
         T, combined = T_camera_hand[best], q[best].copy()
         order = np.argsort([-score.max() for score in alone])
@@ -83,36 +90,9 @@ class FingerSearch:
             joints, score = fingers[i].joints, alone[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(combined, T))
-                score, _ = self.visibility.score(fingers[i], q[:, joints], T_camera_hand, there)
+                score = scores(fingers[i], there)
             combined[joints] = q[score.argmax(), joints]
         return combined, T
-
-    def link_support(self, q: Array, T_camera_hand: Array) -> Array:
-        """Score of every finger link per share of it that nothing hides, (L,); 0 for palm links.
-
-        Args:
-            q: joint vector, shape (n,).
-            T_camera_hand: wrist pose, shape (4, 4).
-        """
-        support = np.zeros(len(self.hand.links))
-        poses = self._poses(q, T_camera_hand)
-        palm = self._palm(poses)
-        for finger, links in zip(self.packed.fingers, self.packed.finger_links, strict=True):
-            there = palm
-            for other in self.packed.fingers:
-                if other is not finger:
-                    there = self._beside(there, other, poses)
-            for link in links:
-                support[link.links] = self._support(link, q, T_camera_hand, there)
-        return support
-
-    def hand_support(self, q: Array, T_camera_hand: Array) -> float:
-        """Score of the whole hand per share of it that nothing hides; arguments as above."""
-        return self._support(self.packed.whole, q, T_camera_hand, None)
-
-    def _support(self, part: PackedPart, q: Array, T_camera_hand: Array, others: Any) -> float:
-        score, seen = self.visibility.score(part, q[None, part.joints], T_camera_hand[None], others)
-        return float(score[0]) / max(float(seen[0]), self.config.min_seen)
 
     def _range(self, finger: PackedPart) -> Array:
         """Configurations (c, k) all over a finger's range."""
@@ -155,9 +135,15 @@ class FingerSearch:
         """Link poses (L, 4, 4) at joint vector (n,)."""
         return np.asarray(self.packed.whole.pose(q[None], T_camera_hand[None]).numpy())
 
-    def _palm(self, T_camera_link: NDArray[np.float32]) -> Any:
-        """Depth [m] of the palm, on the device."""
-        return self.packed.render(self.camera, T_camera_link, self.packed.is_palm)
+    def _palm(self, q: Array, T_camera_hand: Array) -> Any:
+        """Depth [m] of the palm, on the device.
+
+        It is rendered once: what the wrist moves in its refinement is less than a pixel here.
+        """
+        if self._palm_depth is None:
+            poses = self._poses(q, T_camera_hand)
+            self._palm_depth = self.packed.render(self.camera, poses, self.packed.is_palm)
+        return self._palm_depth
 
     def _beside(self, others: Any, finger: PackedPart, T_camera_link: NDArray[np.float32]) -> Any:
         """Depth [m] of a finger and of what else is there, on the device."""

@@ -7,6 +7,7 @@ from inhand.errors import NoAnswer
 from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import ArticulatedFit
 from inhand.stages.finger_search import Array, FingerSearch
+from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
 from inhand.stages.particle_swarm import search_fingers
 from inhand.stages.results import HandState, Wrist
@@ -50,13 +51,15 @@ def estimate_hand_state(
     q, T = search.best_combination(*fit.refine(starts, wrists, widths, config.start_stride))
     widths = np.geomspace(config.middle_width, config.last_width, config.last_iterations)
     q, T = fit.refine(q[None], T[None], widths)
-    if search.hand_support(q[0], T[0]) < config.min_hand_support:
+    T_camera_link = hand.link_poses(q, T)[0]
+    support = hand_support(observation, hand, T_camera_link, config)
+    if support.whole < config.min_hand_support:
         raise NoAnswer(
             "the image does not show the hand where the wrist pose puts it: it looks through the "
             "hand, or sees something else there; check the wrist pose and the hand model"
         )
-    certain = (search.link_support(q[0], T[0]) > config.certain_support) | hand.is_palm
-    return HandState(q[0], T[0], hand.link_poses(q, T)[0], certain, allowed)
+    certain = (support.links > config.certain_support) | hand.is_palm
+    return HandState(q[0], T[0], T_camera_link, certain, allowed)
 
 
 def _starts(alternatives: list[Array], hand: PackedHand) -> Array:

@@ -1,5 +1,6 @@
 """How well posed links of the hand agree with what the camera sees of them."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import HandStateConfig
-from inhand.kernels.hand_fit import Visibility, score_configurations
+from inhand.kernels import hand_fit
+from inhand.kernels.hand_fit import Visibility, link_support, score_configurations
 from inhand.kernels.launch import launch
-from inhand.packed import PackedHand, PackedPart
+from inhand.packed import PackedHand, PackedPart, device_poses
 from inhand.stages.articulated_fit import depth_view
 from inhand.stages.observation import Observation
 
@@ -53,9 +55,7 @@ class HandVisibility:
             points: surface samples of every link that are used at most.
         """
         device, config, count = part.device, self._config, len(q)
-        rule = Visibility()
-        rule.tolerance = max(tolerance or config.fine_tolerance, self._noise)
-        rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
+        rule = _rule(config, max(tolerance or config.fine_tolerance, self._noise))
         samples = int(np.minimum(part.counts, points or part.counts).sum())
         score, seen = (wp.empty(count, dtype=float, device=device) for _ in range(2))
         launch(
@@ -69,3 +69,58 @@ class HandVisibility:
             work_per_item=samples,
         )
         return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Support:
+    """Scores per share of the surface that nothing hides."""
+
+    links: Array
+    """Of every link, shape (L,), without what another finger or the palm explains as well."""
+    whole: float
+    """Of the whole hand."""
+
+
+def hand_support(
+    observation: Observation,
+    hand: PackedHand,
+    T_camera_link: NDArray[np.floating[Any]],
+    config: HandStateConfig,
+) -> Support:
+    """How well the image supports every link of a posed hand, and all of it.
+
+    Args:
+        observation: the image.
+        hand: the hand.
+        T_camera_link: poses of the links, shape (L, 4, 4).
+        config: parameters.
+    """
+    device, count = hand.device, len(hand.hand.links)
+    noise = config.noise_tolerance * observation.noise
+    rule = _rule(config, max(config.fine_tolerance, noise))
+    start = wp.array(hand.point_start, dtype=int, device=device)
+    coarse = observation.camera.subsampled(config.render_step)
+    shown = wp.full(coarse.width * coarse.height, -1, dtype=int, device=device)
+    depth = hand.render(coarse, T_camera_link, np.ones(count, dtype=bool), link=shown)
+    sums = wp.empty(count, dtype=hand_fit.Support, device=device)
+    launch(
+        link_support,
+        count,
+        [depth_view(observation), rule, device_poses(T_camera_link, device), hand.points]
+        + [hand.normals, start, config.fine_points, hand.fields, hand.spheres, hand.apart]
+        + [depth, shown, config.render_step, sums],
+        device,
+        work_per_item=config.fine_points,
+    )
+    area, score, seen, other_score, other_seen = sums.numpy().astype(np.float64).T
+    least = config.min_seen * area
+    whole = (score + other_score).sum() / max((seen + other_seen).sum(), least.sum())
+    return Support(score / np.maximum(seen, least), float(whole))
+
+
+def _rule(config: HandStateConfig, tolerance: float) -> Any:
+    """How surface points are judged, for kernels; the tolerance in [m]."""
+    rule = Visibility()
+    rule.tolerance = tolerance
+    rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
+    return rule

@@ -209,9 +209,11 @@ def _cloud(
 ) -> Cloud:
     """The points in the sphere of every `step`-th pixel that has a normal."""
     every = slice(step // 2, None, step)
-    v, u = np.nonzero(normals[every, every, 2])
-    v, u = v * step + step // 2, u * step + step // 2
-    z = smooth[v, u]
-    points = np.stack([(u - roi.cx) / roi.fx * z, (v - roi.cy) / roi.fy * z, z], 1)
-    near = np.linalg.norm(points - sphere[0], axis=1) < sphere[1]
-    return Cloud(points[near].astype(np.float32), normals[v[near], u[near]])
+    z = smooth[every, every]
+    u, v = np.arange(roi.width)[every], np.arange(roi.height)[every]
+    x = ((u - roi.cx) / roi.fx).astype(np.float32) * z
+    y = ((v - roi.cy) / roi.fy).astype(np.float32)[:, None] * z
+    centre, radius = sphere[0].astype(np.float32), np.float32(sphere[1])
+    squares = (x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2
+    near = (squares < radius * radius) & (normals[every, every, 2] != 0)
+    return Cloud(np.stack([x[near], y[near], z[near]], axis=1), normals[every, every][near])

@@ -101,6 +101,7 @@ def _others(
             wp.array(everywhere, dtype=wp.vec4i, device=obj.device),
             wp.vec4i(*everywhere[0]),
             depth,
+            wp.empty(0, dtype=int, device=obj.device),
         ],
         obj.device,
         work_per_item=10,

@@ -3,24 +3,16 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from inhand.geometry import se3
-from inhand.kernels.hand_fit import Visibility
-from inhand.kernels.launch import launch
-from inhand.packed import PackedHand, device_poses
-from inhand.stages.articulated_fit import (
-    ArticulatedFit,
-    FitInProgress,
-    WristPrior,
-    depth_view,
-)
+from inhand.packed import PackedHand
+from inhand.stages.articulated_fit import ArticulatedFit, FitInProgress, WristPrior
+from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, moved, twist_between
-from inhand.tracking.kernels import link_support
 from inhand.tracking.track import Track
 
 ORIGIN = np.zeros(3)
@@ -71,15 +63,15 @@ def follow_hand(
     T, q = track.T_camera_hand, track.joint_vector
     for _ in range(c.iterations):
         fit.assemble()
-        H = c.stride * c.point_information * fit.H.numpy()[0] + prior + anchor
-        g = c.stride * c.point_information * fit.g.numpy()[0]
+        H = c.stride * c.point_information * fit.state.H.numpy()[0] + prior + anchor
+        g = c.stride * c.point_information * fit.state.g.numpy()[0]
         g += prior @ _way(T, q, track.T_camera_hand, track.joint_vector)
         g += anchor @ _way(T, q, track.given, q)
         step = np.linalg.solve(H, g)
         T = moved(T, step[:6], ORIGIN)
         q = np.clip(q + step[6:], hand.hand.lower, hand.hand.upper)
-        fit.T_camera_hand.assign(T[None])
-        fit.q.assign(q[None])
+        fit.state.T_camera_hand.assign(T[None])
+        fit.state.q.assign(q[None])
     T_camera_link = hand.link_poses(q[None], T[None])[0]
     certain = _certain_links(observation, hand, T_camera_link, config)
     if certain is None:
@@ -101,8 +93,7 @@ def _fit_from(
         point_information=c.point_information,
         joint_damping=1.0,
     )
-    widths = np.array([c.width])
-    return fit.begin(track.joint_vector[None], track.T_camera_hand[None], widths, c.stride)
+    return fit.begin(track.joint_vector[None], track.T_camera_hand[None], c.width, c.stride)
 
 
 def _hidden(hand: PackedHand, track: Track) -> FollowedHand:
@@ -126,36 +117,7 @@ def _certain_links(
     None if it does not support the hand as a whole.
     """
     c = config.estimator.hand_state
-    score, seen, area = link_supports(observation, hand, T_camera_link, config)
-    if score.sum() < c.min_hand_support * max(seen.sum(), c.min_seen * area.sum()):
+    support = hand_support(observation, hand, T_camera_link, c)
+    if support.whole < c.min_hand_support:
         return None
-    supported = score > c.certain_support * np.maximum(seen, c.min_seen * area)
-    return np.asarray(supported | hand.is_palm)
-
-
-def link_supports(
-    observation: Observation, hand: PackedHand, T_camera_link: Array, config: TrackerConfig
-) -> Array:
-    """How the image judges each link's surface, how much of it nothing hides, and its area, (3, L).
-
-    Args:
-        observation: the image.
-        hand: the hand.
-        T_camera_link: where its links are, shape (L, 4, 4).
-        config: parameters.
-    """
-    c, device = config.estimator.hand_state, hand.device
-    rule = Visibility()
-    rule.tolerance = max(c.fine_tolerance, c.noise_tolerance * observation.noise)
-    rule.violation, rule.missing, rule.hidden = c.violation, c.missing, c.hidden
-    links = len(hand.hand.links)
-    sums = wp.empty(links, dtype=wp.vec3, device=device)
-    launch(
-        link_support,
-        links,
-        [depth_view(observation), rule, device_poses(T_camera_link, device), hand.points]
-        + [hand.normals, wp.array(hand.point_start, dtype=int, device=device), c.fine_points, sums],
-        device,
-        work_per_item=c.fine_points,
-    )
-    return np.asarray(sums.numpy().T, dtype=np.float64)
+    return np.asarray((support.links > c.certain_support) | hand.is_palm)

@@ -1,64 +1,14 @@
-"""What the tracker computes on the device: which links are seen, the object's points, its fit."""
+"""What the tracker computes on the device: the object's points and its fit."""
 
 import warp as wp
 
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields, field_at
-from inhand.kernels.hand_fit import (
-    TERMS,
-    DepthView,
-    Visibility,
-    add_term,
-    judge_point,
-    pixel_of,
-    redescending,
-)
+from inhand.kernels.hand_fit import redescending
+from inhand.kernels.hand_terms import TERMS, add_term
 from inhand.kernels.object_fit import ObjectEvidence, sample_residual
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def link_support(
-    view: DepthView,
-    rule: Visibility,
-    T_camera_link: wp.array(dtype=wp.mat44),
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    start: wp.array(dtype=int),
-    most: int,
-    sums: wp.array(dtype=wp.vec3),
-    first: int,
-):
-    """One work item a link: judgements of its camera-facing surface samples.
-
-    Args (beyond the obvious):
-        points, normals: surface samples of all links, link frames.
-        start: first sample of every link, and the end of the last.
-        most: about how many samples of a link are used.
-        sums: out, sums of the judgements, of the area that nothing hides, and of the area.
-    """
-    k = first + wp.tid()
-    T = T_camera_link[k]
-    total = float(0.0)
-    open_area = float(0.0)
-    area = float(1.0e-6)
-    stride = wp.max(1, (start[k + 1] - start[k]) // most)
-    for i in range(start[k], start[k + 1], stride):
-        p = wp.transform_point(T, points[i])
-        n = wp.transform_vector(T, normals[i])
-        facing = -wp.dot(n, p) / wp.length(p)
-        if facing < 0.1:
-            continue
-        area += facing
-        pixel = pixel_of(view.camera, p)
-        if pixel < 0:
-            continue
-        d = view.depth[pixel]
-        if d <= 0.0 or d > p[2] - rule.tolerance:
-            open_area += facing
-        total += facing * judge_point(view, rule, p, n, pixel)
-    sums[k] = wp.vec3(total, open_area, area)
 
 
 @wp.func

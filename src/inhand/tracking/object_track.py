@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from inhand.errors import NoAnswer
-from inhand.kernels.hand_fit import TERMS
+from inhand.kernels.hand_terms import TERMS
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.evidence import Evidence, score_with_contact

@@ -14,11 +14,11 @@ from inhand.geometry import se3
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import gather_evidence, score_with_contact
+from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, fused, twist_between
-from inhand.tracking.hand_track import link_supports
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import segment_near
 from inhand.tracking.track import Track, begun
@@ -75,7 +75,8 @@ def stands_beside_the_hand(
     sighting, c = Sighting.of(estimate), config.loss
     q = np.stack([track.joint_vector, hand.hand.joint_vector(estimate.joint_positions)])
     links = hand.link_poses(q, np.stack([track.T_camera_hand, sighting.T_camera_hand]))
-    followed, found = (link_supports(observation, hand, T, config)[0].sum() for T in links)
+    of_hand = config.estimator.hand_state
+    followed, found = (hand_support(observation, hand, T, of_hand).whole for T in links)
     if found >= followed - c.worse_hand * abs(followed):
         return True
     state = HandState(track.joint_vector, track.T_camera_hand, links[0], track.certain)
