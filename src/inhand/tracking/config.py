@@ -150,7 +150,7 @@ class LossConfig(Section):
     accept: Share = 0.6
     """A tracker that is lost takes a pose of this confidence or more; of a search, only if it
     agrees with where the object was expected or where the last image's search had it."""
-    sure: Share = 0.9
+    sure: Share = 0.8
     """While there is no track to agree with, one search of this confidence is enough."""
     same: float = 0.004
     """Poses whose surfaces are nearer than this on average agree [m]."""
