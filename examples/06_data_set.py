@@ -9,7 +9,8 @@ from inhand.baselines.registry import find_methods
 from inhand.datasets.frames import find_frames, load_object, read_frame
 from inhand.evaluation.benchmark import Benchmark
 from inhand.evaluation.summary import summarise
-from inhand.synth.dataset import Plan, finish, load_hand, missing_images, start
+from inhand.synth.dataset import finish, missing_images, start
+from inhand.synth.plan import Plan, load_hand
 from inhand.synth.scene import NOISY
 from inhand.synth.workers import make_here
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from labelling_data import hand_files, objects_of, true_label, workbench
 
+from inhand.annotation.angles import rotation_of
 from inhand.annotation.commands import NUDGES, Nudge
 from inhand.annotation.images import find_images
 from inhand.annotation.session import Session
@@ -135,6 +136,19 @@ def test_nudging_turns_about_the_object(bench: Workbench) -> None:
     bench.nudge_object(np.zeros(3), np.array([0.001, 0, 0]), "object moved")
     moved = transform(bench.label.T_camera_object, centre) - transform(before, centre)
     np.testing.assert_allclose(moved, [[0.001, 0, 0]], atol=1e-12)
+
+
+def test_a_typed_rotation_turns_about_the_object(bench: Workbench) -> None:
+    centre = bench.tools.obj.centre[None]
+    before = transform(bench.label.T_camera_object, centre)
+    rotation = rotation_of(np.array([30.0, -40.0, 50.0]))
+    bench.turn_object(rotation)
+    T = bench.label.T_camera_object
+    np.testing.assert_allclose(T[:3, :3], rotation, atol=1e-12)
+    np.testing.assert_allclose(transform(T, centre), before, atol=1e-12)
+    bench.undo()
+    np.testing.assert_allclose(transform(bench.label.T_camera_object, centre), before, atol=1e-12)
+    assert (bench.label.T_camera_object != T).any()
 
 
 @pytest.mark.parametrize("nudge", NUDGES, ids=lambda nudge: nudge.meaning)

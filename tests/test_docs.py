@@ -21,8 +21,9 @@ from PIL import Image
 import inhand
 from inhand import cli, config
 from inhand.builtin.hand import write_hand
-from inhand.synth.dataset import Plan, finish, missing_images, start
+from inhand.synth.dataset import finish, missing_images, start
 from inhand.synth.demo import demo_scene
+from inhand.synth.plan import Plan
 from inhand.synth.workers import make_here
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,3 +115,36 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     T = exp(np.array([0, 0, 0, 0, 0, 0.5]))
     for frame in frames(scene, StreamConfig(T_camera_hand=T)):
         np.testing.assert_array_equal(frame.T_camera_hand, T)
+
+
+def test_another_camera_takes_the_place_of_the_scenes_own(tmp_path: Path) -> None:
+    """Its intrinsics count; readings stay what they are."""
+    given = replace(CAMERA, fx=41.0, cx=15.0)
+    found = frames(write_scene(tmp_path), StreamConfig(camera=given))
+    assert {f.camera for f in found} == {given}
+    for frame in found:
+        assert frame.depth is not None
+        np.testing.assert_allclose(frame.depth, 0.4 + 0.01 * int(frame.name), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        (replace(CAMERA, depth_unit=0.001), r'write "depth_unit_m": 0\.0001 there'),
+        (replace(CAMERA, width=64), r"64 x 24 pixels, but they have 32 x 24 by .*scene_camera"),
+    ],
+)
+def test_a_camera_of_other_images_is_refused(tmp_path: Path, given: Camera, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        open_source(str(write_scene(tmp_path)), StreamConfig(camera=given))
+
+
+def test_an_image_of_another_depth_unit_is_one_problem(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    path = scene / "scene_camera.json"
+    fields = json.loads(path.read_text())
+    fields["4"]["depth_scale"] = 1.0
+    path.write_text(json.dumps(fields))
+    found = frames(scene, StreamConfig(camera=CAMERA))
+    assert [f.depth is not None for f in found] == [True, False, True]
+    assert "it is 0.001 m by" in found[1].problem

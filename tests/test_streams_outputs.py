@@ -24,7 +24,7 @@ from inhand.streams.bag_files import open_bag
 from inhand.streams.json_lines import JsonLines
 from inhand.streams.results_bag import ResultsBag
 from inhand.streams.ros_types import standard_types
-from inhand.streams.runner import Output, run
+from inhand.streams.runner import Counts, Output, Summary, run
 from inhand.streams.source import Frame
 from inhand.streams.vision_messages import DETECTIONS, add_vision_messages
 from inhand.synth.demo import builtin_object
@@ -81,6 +81,7 @@ def test_json_lines(tmp_path: Path) -> None:
             "without_wrist": 1,
             "refused": 0,
             "stopped": "",
+            "first_problem": "image 1: no wrist pose: it is never told",
         }
     }
 
@@ -248,3 +249,10 @@ def test_full_disk_while_writing_a_bag(tmp_path: Path, kind: BagKind) -> None:
     with pytest.raises(InputError, match="damaged or was never finished"):
         list(bag.messages([]))
     assert bag.topics["/inhand/joint_states"].messages > 900
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_full_disk_before_the_first_result(tmp_path: Path, kind: BagKind) -> None:
+    path = recording_path(tmp_path, kind)
+    with largest_file(0), pytest.raises(InputError, match=f"cannot write .*{path.name}"):
+        ResultsBag(path, kind, OBJECT).finish(Summary("fake", Counts(), ""))

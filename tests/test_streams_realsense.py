@@ -1,6 +1,7 @@
 """A RealSense camera as a source, with a driver that the test makes up."""
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from any_stream import T_HAND, Kept, found
 
+from inhand.camera import Camera
 from inhand.errors import InputError
 from inhand.streams.config import StreamConfig
 from inhand.streams.open_source import open_source
@@ -127,3 +129,13 @@ def test_a_camera_does_not_tell_the_wrist(driver: Driver) -> None:
     with pytest.raises(InputError, match="give --hand-pose FILE"):
         open_source("realsense", StreamConfig())
     assert not driver.started
+
+
+def test_another_camera_must_count_depth_as_this_one_does(driver: Driver) -> None:
+    given = Camera(9.1, 9.6, 3.4, 2.4, 8, 6, depth_unit=0.00025)
+    source = open_source("realsense", replace(CONFIG, camera=given))
+    assert next(source.arrivals()).decode().camera == given
+    millimetres = replace(CONFIG, camera=replace(given, depth_unit=0.001))
+    with pytest.raises(InputError, match=r'write "depth_unit_m": 0\.00025 there'):
+        open_source("realsense", millimetres)
+    assert driver.stopped == 1

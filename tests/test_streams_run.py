@@ -236,22 +236,110 @@ def test_followed_from_image_to_image(tmp_path: Path, models: list[str], source:
         assert np.linalg.eigvalsh(covariance).min() > 0
 
 
-def test_a_page_shows_every_result(
+@pytest.fixture
+def view(tmp_path: Path) -> list[str]:
+    """Options for a page on a port that is free."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    return ["--out", str(tmp_path / "o.jsonl"), "--view", "--port", port]
+
+
+class Waiting:
+    """Instead of the event that a run with a page waits for: Ctrl-C, after looking around."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.summaries: list[Any] = []
+        """What the results file ended with when the run began to wait."""
+
+    def wait(self) -> None:
+        self.summaries.append(lines_of(self.out)[1])
+        raise KeyboardInterrupt
+
+
+@pytest.fixture
+def waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Waiting:
+    waiting = Waiting(tmp_path / "o.jsonl")
+    monkeypatch.setattr("inhand.cli.run.Event", lambda: waiting)
+    return waiting
+
+
+@pytest.fixture
+def said_on_page(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    said: list[str] = []
+    monkeypatch.setattr(LiveView, "say", lambda self, text: said.append(text))
+    return said
+
+
+def test_a_page_shows_every_result_and_stays_until_ctrl_c(
     tmp_path: Path,
     models: list[str],
-    calls: list[Any],
     source: Path,
+    view: list[str],
+    waiting: Waiting,
+    said_on_page: list[str],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    shown: list[str] = []
-    monkeypatch.setattr(LiveView, "show", lambda self, frame, estimate: shown.append(frame.name))
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = str(free.getsockname()[1])
-    args = ["--out", str(tmp_path / "o.jsonl"), "--view", "--port", port]
-    assert main(["run", str(source), *models, *args]) == 0
-    assert shown == [r["frame"] for r in lines_of(tmp_path / "o.jsonl")[0]]
-    assert f"Page: http://localhost:{port}" in capsys.readouterr().err
+    shown: dict[str, Any] = {}
+    monkeypatch.setattr(
+        LiveView, "show", lambda self, frame, estimate, stages: shown.update({frame.name: stages})
+    )
+    assert main(["run", str(source), *models, *view]) == 0
+    assert list(shown) == [r["frame"] for r in lines_of(tmp_path / "o.jsonl")[0]]
+    assert all(stages.selection is not None for stages in shown.values())
+    (summary,) = waiting.summaries
+    assert summary["processed"] == FRAMES
+    (ending,) = said_on_page
+    assert "The run has ended" in ending
+    assert "4 processed, 4 found, 0 dropped" in ending
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"Page: http://localhost:{view[-1]}" in said
+    assert f"page stays at http://localhost:{view[-1]} until Ctrl-C" in said
+
+
+def test_the_page_of_a_run_that_broke_off_stays_and_says_why(
+    models: list[str],
+    calls: list[Any],
+    source: Path,
+    view: list[str],
+    waiting: Waiting,
+    said_on_page: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = storage_file(source)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
+    assert main(["run", str(source), *models, *view, "--track"]) == 2
+    assert len(waiting.summaries) == 1
+    assert "⚠" in said_on_page[-1]
+    assert "damaged or was never finished" in said_on_page[-1]
+    assert "The run broke off" in capsys.readouterr().err
+
+
+def test_the_page_of_an_interrupted_run_closes(
+    models: list[str],
+    source: Path,
+    view: list[str],
+    waiting: Waiting,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(*args: Any) -> PoseEstimate:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PoseEstimator, "run", interrupted)
+    assert main(["run", str(source), *models, *view]) == 130
+    assert waiting.summaries == []
+
+
+def test_options_that_would_do_nothing_are_said(
+    tmp_path: Path, models: list[str], source: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "o.jsonl"
+    assert main(["run", str(source), *models, "--out", str(out), "--port", "8081"]) == 2
+    assert "--port is the port of the page: give --view too" in capsys.readouterr().err
+    assert main(["run", str(source), *models, "--out", str(out), "--bag-kind", "ros1"]) == 2
+    assert "give --bag PATH too" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_a_taken_port_leaves_no_output(

@@ -108,6 +108,7 @@ def test_images_that_cannot_be_estimated_are_reported_and_counted() -> None:
         "the median depth is 4500 m",
     ]
     assert summary.counts == Counts(processed=5, found=1, without_wrist=1, refused=2)
+    assert summary.first_problem == "image 1: no wrist pose: it is never told"
     assert [c.processed for c in reports] == [1, 2, 3, 4, 5]
 
 
@@ -116,6 +117,24 @@ def test_limit() -> None:
     summary = run(FakeSource(range(5)), found, [output], limit=2)
     assert output.names == [0, 1]
     assert summary.stopped == "after 2 images"
+
+
+def test_a_limit_that_is_all_there_is_stops_nothing() -> None:
+    clock = FakeClock()
+    assert run(FakeSource(range(5)), found, [Kept()], limit=5).stopped == ""
+    assert run(FakeSource(range(5)), found, [Kept()], limit=9).stopped == ""
+    # In real time the images at 0 and 900 ms are taken: with those dropped, that is all.
+    slow = Slow(clock, 5.0)
+    summary = run(FakeSource(EVERY_100_MS), slow, [Kept()], rate=1.0, limit=2, clock=clock)
+    assert summary.counts == Counts(processed=2, found=2, dropped=8)
+    assert summary.stopped == ""
+
+
+def test_a_camera_is_always_stopped_by_the_limit() -> None:
+    class Live(FakeSource):
+        count = None  # type: ignore[assignment]
+
+    assert run(Live(range(5)), found, [Kept()], limit=5).stopped == "after 5 images"
 
 
 def test_a_limit_is_positive() -> None:

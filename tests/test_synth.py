@@ -24,9 +24,11 @@ from inhand.geometry.se3 import inverse, rotation_angle
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.synth import demo
-from inhand.synth.dataset import Plan, Workshop
+from inhand.synth.dataset import Workshop
+from inhand.synth.plan import Plan
 from inhand.synth.renderer import BACKGROUND_BODY, OBJECT_BODY
-from inhand.synth.scene import NOISY, SceneMaker, viewpoints
+from inhand.synth.scene import NOISY, SceneMaker
+from inhand.synth.viewpoints import viewpoints
 
 CAMERA = {"fx": 150, "fy": 150, "cx": 79.5, "cy": 59.5, "width": 160, "height": 120}
 NUMBER = 3

@@ -13,6 +13,7 @@ from inhand.geometry.mesh import box
 from inhand.geometry.se3 import exp, transform
 from inhand.overlay import HAND_COLOUR
 from inhand.synth.demo import builtin_hand
+from inhand.viewer.clouds import scene_cloud
 from inhand.viewer.drawing import (
     CloudDrawing,
     HandDrawing,
@@ -20,7 +21,6 @@ from inhand.viewer.drawing import (
     View,
     move,
     pose_of,
-    scene_cloud,
 )
 from inhand.viewer.server import serving
 

@@ -1,9 +1,5 @@
-"""The viewer's page in a real browser, headless: it loads, and what is moved changes what is seen.
+"""The viewer's page in a real browser, headless: it loads, and what is moved changes the view."""
 
-With INHAND_SCREENSHOT set to a path, the picture in the documentation is written there.
-"""
-
-import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -65,20 +61,6 @@ def test_the_page_shows_the_answer_and_follows_its_controls(page: ViserPage) -> 
     page.slide("Stage", 1)
     page.wait_for_text("8 of 8: choice")
     page.wait_until(lambda: changed(choice, page.scene()) < 500, "the 3D view of the start")
-
-
-@pytest.mark.skipif("INHAND_SCREENSHOT" not in os.environ, reason="makes a picture for the docs")
-def test_the_picture_in_the_documentation(browser: Any) -> None:
-    source = SceneSource({"built-in scene": demo()})
-    with serving("inhand", port=0) as server:
-        shown = Page(server, source.hand)
-        Browsing(shown, Session(source, analyst())).start()
-        page = ViserPage(browser, address(server), size=(1500, 900))
-        page.wait_for_text("8 of 8: choice")
-        page.wait_until_still()
-        page.screenshot(os.environ["INHAND_SCREENSHOT"])
-        page.close()
-        shown.stop()
 
 
 def test_sliders_recompute_the_residual(page: ViserPage) -> None:
@@ -161,3 +143,27 @@ def test_a_live_view_shows_what_comes(browser: Any) -> None:
         page.wait_for_text("no answer: it is dark")
         page.wait_until(lambda: page.pictures() != pictures, "another picture")
         page.close()
+
+
+def test_an_image_of_a_live_view_is_held_and_looked_into(browser: Any) -> None:
+    """While others come, one image stays with all its controls."""
+    scene, analysis = demo(), demo_analysis()
+    with LiveView(scene.hand, scene.obj, port=0) as live:
+        page = ViserPage(browser, live.address)
+        live.show(viewed(scene, "first", STEP), analysis.estimate, analysis.results)
+        page.wait_for_text("first (industrial_part)")
+        page.tick("Hold this image")
+        live.show(viewed(scene, "second", STEP), analysis.estimate, analysis.results)
+        page.slide("Stage", 4 / 7)
+        page.wait_for_text("5 of 8: hypotheses")
+        page.tab.get_by_text("Try by hand").click()
+        page.enter("x [mm]", 12)
+        page.wait_for_text("by the final score")
+        assert "first (industrial_part)" in page.text()
+        live.say("**The run has ended**: 2 processed")
+        page.wait_for_text("The run has ended: 2 processed")
+        page.tick("Hold this image")
+        page.wait_for_text("second (industrial_part)")
+        assert "5 of 8: hypotheses" in page.text()
+        page.close()
+    assert page.errors == []

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from inhand.annotation.angles import angles_of, rotation_of
 from inhand.annotation.commands import NUDGES, Command, Nudge, groups, keys_table
 from inhand.annotation.session import Array, Label
 from inhand.geometry.se3 import transform
@@ -15,6 +16,10 @@ from inhand.object_model import ObjectModel
 
 LAYERS = ("Cloud", "Hand", "Object")
 """What can be hidden in the 3D view."""
+CENTRE, TURN = "Centre [mm]", "Turn [°]"
+"""Names of the fields for the object's position and rotation."""
+SHOWN = 0.002
+"""How far a pose may be from what the fields show [mm, degree]: they show three decimals."""
 STEPS = (1.0, 2.0)
 """Steps of the keys that move and turn the object [mm, degree]."""
 
@@ -53,13 +58,14 @@ class CommandButtons:
 
 
 class ObjectControls:
-    """Which object is in the hand, and where its centre is.
+    """Which object is in the hand, where its centre is, and how it is turned.
 
     Args:
         gui: `server.gui` of viser.
         names: names of the objects that may be in the hand.
         chosen: called with the name that the user chose.
         placed: called with the centre that the user typed [m], camera frame, shape (3,).
+        turned: called with the rotation that the user typed, camera frame, shape (3, 3).
         nudged: called with a nudge and the sizes of the steps [mm, degree].
     """
 
@@ -69,12 +75,19 @@ class ObjectControls:
         names: Sequence[str],
         chosen: Callable[[str], None],
         placed: Callable[[Array], None],
+        turned: Callable[[Array], None],
         nudged: Callable[[Nudge, float, float], None],
     ) -> None:
         with gui.add_folder("Object"):
             self._name = gui.add_dropdown("In the hand", tuple(names), visible=len(names) > 1)
             self._centre = gui.add_vector3(
-                "Centre [mm]", (0.0, 0.0, 0.0), step=0.1, hint="right, down, away from the camera"
+                CENTRE, (0.0, 0.0, 0.0), step=0.1, hint="right, down, away from the camera"
+            )
+            self._angles = gui.add_vector3(
+                TURN,
+                (0.0, 0.0, 0.0),
+                step=0.1,
+                hint="about the camera's axes: first right, then down, then away",
             )
             self._shift, self._turn = (
                 gui.add_number(label, value, min=0.01, max=100.0, step=0.01, hint="of the keys")
@@ -82,6 +95,7 @@ class ObjectControls:
             )
         on_user(self._name, lambda: chosen(self._name.value))
         on_user(self._centre, lambda: placed(np.array(self._centre.value) / 1000))
+        on_user(self._angles, lambda: turned(rotation_of(np.array(self._angles.value))))
         for nudge in NUDGES:
             key = gui.add_command(
                 f"Object: {nudge.meaning}", hotkey=nudge.key.key, modifier=nudge.key.modifier
@@ -90,12 +104,16 @@ class ObjectControls:
                 lambda _, nudge=nudge: nudged(nudge, self._shift.value, self._turn.value)
             )
 
-    def show(self, label: Label, obj: ObjectModel) -> None:
-        """Show where an object is."""
-        centre = 1000 * transform(label.T_camera_object, obj.centre[None])[0]
+    def show(self, label: Label, obj: ObjectModel, moving: str = "") -> None:
+        """Show where an object is; the field that is typed into, by its name, stays untouched."""
         set_value(self._name, label.object_name)
-        if np.abs(centre - np.array(self._centre.value)).max() > 1e-6:
+        centre = 1000 * transform(label.T_camera_object, obj.centre[None])[0]
+        if moving != CENTRE and np.abs(centre - self._centre.value).max() > SHOWN:
             self._centre.value = tuple(centre.round(3).tolist())
+        # Other angles may be the same rotation: what the user typed then stays.
+        rotation, typed = label.T_camera_object[:3, :3], np.array(self._angles.value)
+        if moving != TURN and np.abs(rotation_of(typed) - rotation).max() > np.radians(SHOWN):
+            self._angles.value = tuple(angles_of(rotation).round(3).tolist())
 
 
 class JointControls:

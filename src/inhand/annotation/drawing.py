@@ -12,13 +12,12 @@ from inhand.errors import InputError
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.overlay import HAND_COLOUR, OBJECT_COLOUR, Placement, Rendering, Window, grey_depth
+from inhand.viewer.clouds import reach_sphere, scene_cloud
 from inhand.viewer.drawing import (
     CloudDrawing,
     HandDrawing,
     ObjectDrawing,
     View,
-    reach_sphere,
-    scene_cloud,
 )
 from inhand.viewer.silhouettes import SIZE, Pictures
 

@@ -28,6 +28,7 @@ class Gizmo:
         )
         self._node.on_update(self._on_drag)
         self._target.on_update(lambda _: self._place())
+        server.on_client_disconnect(lambda _: self._let_go())
         self._poses: dict[str, Array] = {}
 
     @property
@@ -58,6 +59,11 @@ class Gizmo:
         self._node.visible = pose is not None
         if pose is not None:
             move(self._node, pose)
+
+    def _let_go(self) -> None:
+        """A browser that is closed in the middle of a drag never says that it ends."""
+        self._dragged = False
+        self._place()
 
     async def _on_drag(self, event: Any) -> None:  # async: viser keeps the phases in order
         self._dragged = event.phase != "end"

@@ -11,6 +11,8 @@ from typing import Any
 
 from inhand.annotation.commands import Command
 from inhand.annotation.controls import (
+    CENTRE,
+    TURN,
     CommandButtons,
     JointControls,
     LayerControls,
@@ -51,7 +53,8 @@ class LabellingPage:
             gui,
             tuple(bench.objects),
             lambda name: self._do(lambda: bench.take_object(name)),
-            lambda centre: self._do(lambda: bench.place_centre(centre)),
+            lambda centre: self._do(lambda: bench.place_centre(centre), moving=CENTRE),
+            lambda rotation: self._do(lambda: bench.turn_object(rotation), moving=TURN),
             lambda nudge, mm, deg: self._do(lambda: nudge.act(bench, mm, deg)),
         )
         self._joints = JointControls(gui, bench.hand.model, self._bent)
@@ -100,7 +103,7 @@ class LabellingPage:
             self._message.content = f"Writing image {done + 1} of {total}"
 
         number = self._bench.write(tell)
-        self._message.content = f"{number} images are in `{self._bench.folder}`"
+        self._message.content = f"Images written to `{self._bench.folder}`: {number}"
 
     # How
 
@@ -132,7 +135,7 @@ class LabellingPage:
             return
         self._drawing.show(bench.file.name, raw, label, q, tools.obj)
         self._drawing.hide(*self._layers.hidden())
-        self._object.show(label, tools.obj)
+        self._object.show(label, tools.obj, moving)
         self._joints.show(q, moving)
         self._gizmo.show(tools.centred(label.T_camera_object), label.T_camera_hand)
         self.worker.submit("pictures", lambda: self._pictures.show(bench))

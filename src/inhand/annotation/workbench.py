@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from inhand.annotation.ground_truth import LabelledHand, write_ground_truth
 from inhand.annotation.images import ImageFile, RawImage
+from inhand.annotation.moves import centred_at, exchanged, nudged, placed, turned_to
 from inhand.annotation.objects import ObjectSource
 from inhand.annotation.session import Label, Session, Status
 from inhand.annotation.start import last_labelled, start_label
@@ -27,7 +28,6 @@ from inhand.annotation.storage import (
 from inhand.annotation.tools import Proposals, Tools
 from inhand.config import EstimatorConfig
 from inhand.errors import InputError
-from inhand.geometry.se3 import exp_so3
 from inhand.object_model import ObjectModel
 
 Array = NDArray[np.float64]
@@ -158,20 +158,20 @@ class Workbench:
 
         All of a drag is one step, which begins with `begin_step`.
         """
-        T = self.tools.from_centred(T_camera_centre)
-        self._change(replace(self.label, T_camera_object=T), "object dragged", within=np.inf)
+        self._change(placed(self.tools, self.label, T_camera_centre), "object dragged", np.inf)
 
     def place_centre(self, centre: Array) -> None:
         """Put the object's centre to a point [m], camera frame, shape (3,), and turn nothing."""
-        T = self.tools.centred(self.label.T_camera_object)
-        T[:3, 3] = centre
-        label = replace(self.label, T_camera_object=self.tools.from_centred(T))
-        self._change(label, "object placed", within=PAUSE)
+        self._change(centred_at(self.tools, self.label, centre), "object placed", PAUSE)
+
+    def turn_object(self, rotation: Array) -> None:
+        """Turn the object's axes against the camera's by a rotation, (3, 3), and move nothing."""
+        self._change(turned_to(self.tools, self.label, rotation), "object turned", PAUSE)
 
     def place_hand(self, T_camera_hand: Array) -> None:
         """Put the hand at a wrist pose, shape (4, 4): a drag, as `place_object`."""
         label = replace(self.label, T_camera_hand=T_camera_hand)
-        self._change(label, "hand dragged", within=np.inf)
+        self._change(label, "hand dragged", np.inf)
 
     def nudge_object(self, turn: Array, shift: Array, what: str) -> None:
         """Move the object a little.
@@ -182,23 +182,18 @@ class Workbench:
             shift: translation along the camera's axes [m], shape (3,).
             what: what the user did.
         """
-        T = self.tools.centred(self.label.T_camera_object)
-        T[:3, :3] = exp_so3(turn) @ T[:3, :3]
-        T[:3, 3] += shift
-        label = replace(self.label, T_camera_object=self.tools.from_centred(T))
-        self._change(label, what, within=PAUSE)
+        self._change(nudged(self.tools, self.label, turn, shift), what, PAUSE)
 
     def bend(self, joint: str, position: float) -> None:
         """Put a joint, by its name, to a position [rad, m]."""
         joints = {**self.label.joint_positions, joint: position}
-        self._change(replace(self.label, joint_positions=joints), f"{joint} moved", within=PAUSE)
+        self._change(replace(self.label, joint_positions=joints), f"{joint} moved", PAUSE)
 
     def take_object(self, name: str) -> None:
         """Say that another object is in the hand; it takes the place of the one before."""
-        T = self.tools.centred(self.label.T_camera_object)
-        T_camera_object = self._tools_for(name).from_centred(T)
-        label = replace(self.label, object_name=name, T_camera_object=T_camera_object)
-        self._change(label, "object chosen")
+        self._change(
+            exchanged(self.tools, self._tools_for(name), self.label, name), "object chosen"
+        )
 
     def snap_object(self) -> None:
         """Refine the object's pose from where it is.
@@ -275,7 +270,7 @@ class Workbench:
         label = replace(proposals.labels[index], status=self.label.status)
         self._change(label, f"proposal {1 + index} taken")
 
-    def _change(self, label: Label, what: str, *, within: float = 0.0) -> None:
+    def _change(self, label: Label, what: str, within: float = 0.0) -> None:
         """Change the label; the same again `within` so many seconds is one step."""
         now, last = self._clock(), self._last_change
         self._last_change = now

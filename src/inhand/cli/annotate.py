@@ -90,7 +90,7 @@ def run(args: Annotate) -> None:
         if args.write:
             with console.status("Writing the data set"):
                 number = bench.write()
-            console.print(f"{number} images are in {args.out}", highlight=False)
+            console.print(f"Images written to {args.out}: {number}", highlight=False)
         else:
             _serve(args, bench, console)
 

@@ -1,9 +1,10 @@
 """`inhand run`: a folder, a recording or a camera in, an estimate of every image out."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -46,9 +47,9 @@ class Run:
     """Follow hand and object from image to image, which is faster and steadier; without it, every
     image is answered anew."""
     view: bool = False
-    """Also show the images and results on a web page, as they come."""
-    port: int = 8080
-    """Port of that page."""
+    """Also show the images and results on a web page, as they come; it stays until Ctrl-C."""
+    port: int | None = None
+    """Port of that page. Default: 8080."""
     rate: float | None = None
     """Play a recording back in real time (1.0), or slower or faster, and drop what comes while an
     image is being processed. Default: every image, as fast as it goes."""
@@ -98,6 +99,7 @@ def run(args: Run) -> int:
     from inhand.kernels.launch import resolve_device
     from inhand.streams.open_source import open_source
 
+    _check_options(args)
     console = Console(stderr=True)
     device = resolve_device(args.device)
     with console.status(f"Opening {args.source}"):
@@ -109,6 +111,16 @@ def run(args: Run) -> int:
     finally:
         source.close()
     return 0 if summary.counts.found else 1
+
+
+def _check_options(args: Run) -> None:
+    """Raise InputError for an option that would do nothing."""
+    from inhand.errors import InputError
+
+    if args.port is not None and not args.view:
+        raise InputError("--port is the port of the page: give --view too, or leave it out")
+    if args.bag_kind is not None and args.bag is None:
+        raise InputError("--bag-kind is the kind of a recording: give --bag PATH too")
 
 
 def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summary":
@@ -124,20 +136,19 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
     estimate = _make_estimate(args, hand, obj, device)
-    page = [_open_page(args, hand, obj, device, console)] if args.view else []
-    outputs = [*_open_outputs(args, source, paths, obj), *page]
-    try:
-        with _progress(source, console) as report:
-            return runner.run(
-                source,
-                estimate,
-                outputs,
-                rate=args.rate,
-                limit=args.limit,
-                report=report,
-            )
-    finally:
-        console.print(f"Results: {', '.join(map(str, paths))}", highlight=False, markup=False)
+    with _page(args, hand, obj, estimate, device, console) as page:
+        outputs = [*_open_outputs(args, source, paths, obj), *page]
+        try:
+            with _progress(source, console) as report:
+                summary = runner.run(
+                    source, estimate, outputs, rate=args.rate, limit=args.limit, report=report
+                )
+            if problem := summary.first_problem:
+                message = f"The first that could not be estimated: {problem}"
+                console.print(message, highlight=False, markup=False)
+            return summary
+        finally:
+            console.print(f"Results: {', '.join(map(str, paths))}", highlight=False, markup=False)
 
 
 def _make_estimate(args: Run, hand: "Hand", obj: "ObjectModel", device: str) -> "Estimate":
@@ -151,6 +162,10 @@ def _make_estimate(args: Run, hand: "Hand", obj: "ObjectModel", device: str) -> 
     if args.track:
         return Following(PoseTracker(hand, obj, TrackerConfig(estimator=config), device))
     estimator = PoseEstimator(hand, obj, config, device)
+    if args.view:
+        from inhand.viewer.stream_output import StagesKept
+
+        return StagesKept(estimator)
     return lambda f: estimator.estimate(f.depth, f.camera, f.T_camera_hand)
 
 
@@ -206,14 +221,47 @@ def _open_outputs(
     return [JsonLines(lines), results_bag]
 
 
-def _open_page(
-    args: Run, hand: "Hand", obj: "ObjectModel", device: str, console: "Console"
-) -> "Output":
-    from inhand.viewer.stream_output import PageOutput
+@contextmanager
+def _page(
+    args: Run,
+    hand: "Hand",
+    obj: "ObjectModel",
+    estimate: "Estimate",
+    device: str,
+    console: "Console",
+) -> Iterator[list["Output"]]:
+    """The page, if it is asked for: it stays when the run has ended, until Ctrl-C."""
+    if not args.view:
+        yield []
+        return
+    from inhand.cli.common import make_config
+    from inhand.errors import InputError
+    from inhand.viewer.server import PORT
+    from inhand.viewer.stream_output import PageOutput, StagesKept
 
-    page = PageOutput(hand, obj, args.port, device)
+    kept = estimate if isinstance(estimate, StagesKept) else None
+    port = PORT if args.port is None else args.port
+    config = make_config(args.preset, args.seed)
+    page = PageOutput(hand, obj, port, config, device, kept)
     console.print(f"Page: {page.address}", highlight=False, markup=False)
-    return page
+    try:
+        yield [page]
+        _wait_for_ctrl_c(page.address, console)
+    except InputError as error:
+        if page.ended:  # the run went wrong, and did not only fail to start
+            console.print(f"The run broke off: {error}", highlight=False, markup=False)
+            page.tell(str(error))
+            _wait_for_ctrl_c(page.address, console)
+        raise
+    finally:
+        page.close()
+
+
+def _wait_for_ctrl_c(address: str, console: "Console") -> None:
+    message = f"The run has ended. Its page stays at {address} until Ctrl-C"
+    console.print(message, highlight=False, markup=False)
+    with suppress(KeyboardInterrupt):
+        Event().wait()
 
 
 @contextmanager
@@ -232,16 +280,6 @@ def _progress(source: "Source", console: "Console") -> Iterator[Callable[["Count
 
         def report(counts: "Counts") -> None:
             done = counts.processed + counts.dropped
-            bar.update(task, completed=done, description=_in_words(counts))
+            bar.update(task, completed=done, description=counts.in_words())
 
         yield report
-
-
-def _in_words(counts: "Counts") -> str:
-    """What became of the images; what did not happen is left out, dropped images never."""
-    parts = [f"{counts.processed} processed", f"{counts.found} found", f"{counts.dropped} dropped"]
-    if counts.without_wrist:
-        parts.append(f"{counts.without_wrist} without wrist pose")
-    if counts.refused:
-        parts.append(f"{counts.refused} unreadable")
-    return ", ".join(parts)

@@ -13,7 +13,7 @@ from inhand.cli.common import load_kernels
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inhand.synth.dataset import Plan
+    from inhand.synth.plan import Plan
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -111,8 +111,8 @@ def run(args: Synth) -> int:
 
 def _plan(args: Synth) -> "Plan":
     from inhand.camera import Camera
-    from inhand.synth.dataset import Plan
     from inhand.synth.motion import MotionProtocol
+    from inhand.synth.plan import Plan
     from inhand.synth.scene import SceneProtocol
     from inhand.synth.sensor import SENSORS
 

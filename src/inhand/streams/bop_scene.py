@@ -19,6 +19,7 @@ from inhand.datasets.bop import (
 from inhand.errors import InputError
 from inhand.streams.bag import BagKind
 from inhand.streams.config import StreamConfig
+from inhand.streams.given_camera import check_fits
 from inhand.streams.image_times import image_times
 from inhand.streams.source import Arrival, Frame
 
@@ -35,7 +36,7 @@ class BopScene:
 
     Raises:
         InputError: `path` is a data set of several scenes, a JSON file is broken, there is no
-            image that can be read, or no hand.
+            image that can be read, or no hand; or the images are not of the camera in `config`.
     """
 
     kind: BagKind | None = None
@@ -49,7 +50,10 @@ class BopScene:
         if files.hand_info is None and config.T_camera_hand is None:
             raise InputError(f"{path} tells no wrist pose: it has no {HAND}; give --hand-pose FILE")
         self._images = sorted(files.truth)
-        self._camera = config.camera or _any_camera(files, self._images)
+        own = _any_camera(files, self._images)
+        self._camera = (
+            own if config.camera is None else check_fits(config.camera, own, path / CAMERA)
+        )
         told = [read_time(files, image) for image in self._images]
         self._times = image_times(told, config.frame_rate, str(path / CAMERA))
         self.count = len(self._images)
@@ -72,6 +76,8 @@ class BopScene:
         T = self._config.T_camera_hand
         try:
             image = read_sensed(self._files, number)
+            if self._config.camera is not None:
+                check_fits(self._config.camera, image.camera, self._files.folder / CAMERA)
         except InputError as error:
             return Frame(str(number), time_ns, FRAME_ID, self._camera, None, T, str(error))
         T = image.T_camera_hand if T is None else T

@@ -12,6 +12,7 @@ from inhand.camera import Camera
 from inhand.errors import InputError
 from inhand.streams.bag import BagKind
 from inhand.streams.config import StreamConfig
+from inhand.streams.given_camera import check_fits
 from inhand.streams.source import Arrival, Frame
 
 FRAME_ID = "camera_depth_optical_frame"
@@ -30,7 +31,8 @@ class RealSense:
         config: size, frame rate and the wrist's constant pose.
 
     Raises:
-        InputError: the driver or the camera is missing, or the wrist's pose is not given.
+        InputError: the driver or the camera is missing, the wrist's pose is not given, or the
+            camera in `config` is of other images.
     """
 
     count: int | None = None
@@ -55,7 +57,13 @@ class RealSense:
                 f"Asked for depth of {config.size[0]} x {config.size[1]} pixels at "
                 f"{config.frame_rate:g} Hz"
             ) from error
-        self._camera = config.camera or _read_camera(rs, profile)
+        try:
+            own = _read_camera(rs, profile)
+            given = config.camera
+            self._camera = own if given is None else check_fits(given, own, "its own calibration")
+        except InputError:
+            self.close()
+            raise
         self.description = (
             f"depth: {self.name}, {self._camera.width} x {self._camera.height} pixels",
             f"camera: {'as given' if config.camera else 'its own calibration'}",

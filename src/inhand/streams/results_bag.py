@@ -49,8 +49,9 @@ class ResultsBag:
                 topic: self._writer.add_connection(topic, name, typestore=types)
                 for topic, name in TYPE_OF_TOPIC.items()
             }
-        except OSError as error:
-            raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+        except FAULTS as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"cannot write {path}: {reason}") from error
 
     def write(self, result: Result) -> None:
         """See `runner.Output.write`."""

@@ -33,6 +33,15 @@ class Counts:
     refused: int = 0
     """Images not estimated because they could not be decoded or were bad input."""
 
+    def in_words(self) -> str:
+        """What became of the images; what did not happen is left out, dropped images never."""
+        parts = [f"{self.processed} processed", f"{self.found} found", f"{self.dropped} dropped"]
+        if self.without_wrist:
+            parts.append(f"{self.without_wrist} without wrist pose")
+        if self.refused:
+            parts.append(f"{self.refused} unreadable")
+        return ", ".join(parts)
+
 
 @dataclass(frozen=True)
 class Result:
@@ -54,10 +63,17 @@ class Summary:
     counts: Counts
     stopped: str
     """Why the run ended before the source did; empty if it did not."""
+    first_problem: str = ""
+    """The first image that could not be estimated, and why; empty if all could."""
 
     def as_dict(self) -> dict[str, Any]:
         """The summary in JSON's types."""
-        return {"source": self.source, **asdict(self.counts), "stopped": self.stopped}
+        return {
+            "source": self.source,
+            **asdict(self.counts),
+            "stopped": self.stopped,
+            "first_problem": self.first_problem,
+        }
 
 
 class Output(Protocol):
@@ -106,7 +122,7 @@ def run(
             written, and the rest is written.
         KeyboardInterrupt: Ctrl-C; all results are written.
     """
-    counts, stopped = Counts(), "it broke off unexpectedly"
+    counts, stopped, first_problem = Counts(), "it broke off unexpectedly", ""
     try:
         check_pace(source, rate, limit)
         arrivals: Iterator[Arrival] = source.arrivals()
@@ -116,10 +132,12 @@ def run(
             result = _process(arrival, estimate)
             with interrupt_held():
                 counts = _count(counts, result)
+                first_problem = first_problem or _problem(result)
                 for output in outputs:
                     output.write(result)
             report(counts)
-        stopped = "" if limit is None or counts.processed < limit else f"after {limit} images"
+        cut = counts.processed == limit and counts.processed + counts.dropped != source.count
+        stopped = f"after {limit} images" if cut else ""
     except KeyboardInterrupt:
         stopped = "interrupted"
         raise
@@ -127,7 +145,7 @@ def run(
         stopped = str(error)
         raise
     finally:
-        summary = Summary(source.name, counts, stopped)
+        summary = Summary(source.name, counts, stopped, first_problem)
         with interrupt_held():
             _finish(outputs, summary)
     return summary
@@ -157,6 +175,12 @@ def _process(arrival: Arrival, estimate: Estimate) -> Result:
 
 def _no_estimate(reason: str) -> PoseEstimate:
     return PoseEstimate(False, reason, None, {}, None, 0.0)
+
+
+def _problem(result: Result) -> str:
+    """Why an image could not be estimated, a sentence with its name; empty if it could."""
+    frame = result.frame
+    return f"image {frame.name}: {frame.problem}" if frame.problem else ""
 
 
 def _count(counts: Counts, result: Result) -> Counts:

@@ -6,10 +6,8 @@ stands on 648 viewpoints of spheres around the hand. No physics: any pose in the
 """
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
@@ -20,15 +18,15 @@ from inhand.object_model import ObjectModel
 from inhand.synth.grasp import Grasp, GraspSampler
 from inhand.synth.renderer import (
     BACKGROUND_BODY,
-    CLUTTER_SHAPES,
     NO_BODY,
     OBJECT_BODY,
     Colour,
     Images,
-    Props,
     SceneRenderer,
 )
 from inhand.synth.sensor import PERFECT, STRUCTURED_LIGHT, SensorModel, observe, perturb_wrist
+from inhand.synth.surroundings import Surroundings, SurroundingsMaker
+from inhand.synth.viewpoints import look_from, viewpoints
 
 Array = NDArray[np.float64]
 
@@ -46,13 +44,6 @@ OBJECT_COLOURS: tuple[Colour, ...] = (
 )
 """Plain colours of the objects, by their number; choices of ours, none of them blue."""
 
-SPHERES = 4
-"""Spheres of viewpoints, evenly between the nearest and the farthest. The paper states 648
-viewpoints and radii of 0.3 to 0.9 m; 4 spheres of the 162 vertices of a twice divided icosahedron
-make 648, which is a choice of ours."""
-AIM = 0.02
-"""Sd of how far the camera looks past the centre of the hand's reach, along either axis [m]; a
-choice of ours, so that the hand is not always in the middle."""
 NEAREST = 0.1
 """No surface may be closer to the camera than this [m]."""
 GRASPS, VIEWS = 100, 40
@@ -130,15 +121,6 @@ class Scene:
         return self.images.object_pixels / max(self.silhouette_pixels, 1)
 
 
-class Surroundings(NamedTuple):
-    """What a hand is seen in."""
-
-    lamp: Array
-    """Unit direction to the lamp, camera frame, shape (3,)."""
-    props: Props
-    """What else stands there."""
-
-
 class SceneMaker:
     """Makes random scenes of one hand and object.
 
@@ -171,6 +153,10 @@ class SceneMaker:
         self.grasps = GraspSampler(hand, obj, device)
         self._renderer = SceneRenderer(hand, obj, device)
         self._viewpoints = viewpoints(protocol.distance)
+        diameters = [float(solid.diameter) for solid in self._renderer.props]
+        self._surroundings = SurroundingsMaker(
+            hand, camera, diameters, protocol.clutter, protocol.backdrop
+        )
 
     def make(self, rng: np.random.Generator, visible: tuple[float, float] | None = None) -> Scene:
         """A random scene; the same state of `rng` gives the same scene.
@@ -186,7 +172,7 @@ class SceneMaker:
         for _ in range(GRASPS):
             grasp = self.grasps.sample(rng)
             for viewpoint in rng.permutation(self._viewpoints)[:VIEWS]:
-                T_camera_hand = self._look_from(viewpoint, rng)
+                T_camera_hand = look_from(viewpoint, self.hand.reach[0], rng)
                 if self._promises(grasp, T_camera_hand, visible):
                     scene = self.render(grasp, T_camera_hand, rng)
                     if _fits(scene.images, scene.silhouette_pixels, visible, MIN_PIXELS):
@@ -206,9 +192,7 @@ class SceneMaker:
 
     def surroundings(self, T_camera_hand: Array, rng: np.random.Generator) -> Surroundings:
         """Random light, and what stands behind a hand."""
-        lamp = se3.random_rotation(rng)[2]
-        lamp[2] = -abs(lamp[2])  # on the camera's side
-        return Surroundings(lamp, self._behind(T_camera_hand, rng))
+        return self._surroundings.make(T_camera_hand, rng)
 
     def render_in(self, around: Surroundings, grasp: Grasp, T_camera_hand: Array) -> Scene:
         """As `render`, in given surroundings."""
@@ -261,52 +245,6 @@ class SceneMaker:
         v0, v1 = np.clip([v - reach, v + reach], 0, camera.height).astype(int)
         return camera.crop(int(u0), int(v0), max(int(u1 - u0), 1), max(int(v1 - v0), 1))
 
-    def _look_from(self, viewpoint: Array, rng: np.random.Generator) -> Array:
-        """`T_camera_hand`, (4, 4), of a camera that looks about at the centre of the hand's reach.
-
-        Args:
-            viewpoint: place of the camera from that centre [m], axes of the hand frame, shape (3,).
-            rng: source of the roll and the aim.
-        """
-        distance = float(np.linalg.norm(viewpoint))
-        roll = se3.exp_so3(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))
-        T = np.eye(4)
-        T[:3, :3] = roll @ se3.rotation_between(-viewpoint / distance, np.array([0.0, 0.0, 1.0]))
-        aim = np.array([*rng.normal(scale=AIM, size=2), distance])
-        T[:3, 3] = aim - T[:3, :3] @ self.hand.reach[0]
-        return T
-
-    def _behind(self, T_camera_hand: Array, rng: np.random.Generator) -> Props:
-        """The wall and the clutter behind the hand's reach."""
-        centre = se3.transform(T_camera_hand, self.hand.reach[0][None])[0]
-        shape = rng.integers(CLUTTER_SHAPES, size=self.protocol.clutter)
-        poses = [self._clutter_pose(centre, int(i), rng) for i in shape]
-        if self.protocol.backdrop is not None:
-            shape = np.append(shape, CLUTTER_SHAPES)
-            poses.append(self._wall_pose(centre, self.protocol.backdrop, rng))
-        colours = rng.uniform(0.2, 0.9, size=(len(poses), 3))
-        return Props(shape, np.array(poses).reshape(-1, 4, 4), colours)
-
-    def _clutter_pose(self, centre: Array, shape: int, rng: np.random.Generator) -> Array:
-        """Pose, (4, 4), of a solid somewhere in the image, wholly behind the hand's reach."""
-        size = self.solid_diameter(shape)
-        z = centre[2] + self.hand.reach[1] + size / 2 + rng.uniform(0, 0.4)
-        u, v = rng.uniform([0, 0], [self.camera.width, self.camera.height])
-        camera = self.camera
-        T = np.eye(4)
-        T[:3, :3] = se3.random_rotation(rng)
-        T[:3, 3] = z * np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])
-        return T
-
-    def _wall_pose(
-        self, centre: Array, distance: tuple[float, float], rng: np.random.Generator
-    ) -> Array:
-        """Pose, (4, 4), of a wall (normal: its z axis) that stands clear of the hand's reach."""
-        tilt = rng.normal(scale=np.radians(12), size=2)
-        T = se3.exp(np.array([tilt[0], tilt[1], 0, 0, 0, 0]))
-        T[:3, 3] = centre + (self.hand.reach[1] + rng.uniform(*distance)) * T[:3, 2]
-        return T
-
 
 def make_scene(
     hand: Hand,
@@ -341,17 +279,6 @@ def with_errors(
             scene.T_camera_hand, protocol.wrist_translation, protocol.wrist_rotation, rng
         )
     return replace(scene, depth=depth, T_camera_hand_given=T_camera_hand_given)
-
-
-def viewpoints(distance: tuple[float, float]) -> Array:
-    """The 648 places of the camera from the centre of the hand's reach [m], shape (648, 3).
-
-    Args:
-        distance: radii of the smallest and the largest sphere [m].
-    """
-    directions = trimesh.creation.icosphere(subdivisions=2, radius=1.0).vertices
-    radii = np.linspace(*distance, SPHERES)
-    return np.asarray((radii[:, None, None] * directions).reshape(-1, 3))
 
 
 def _fits(images: Images, silhouette: int, visible: tuple[float, float], min_pixels: float) -> bool:

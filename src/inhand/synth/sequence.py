@@ -20,7 +20,8 @@ from inhand.synth.motion import (
     wrist_errors,
 )
 from inhand.synth.renderer import CLUTTER_SHAPES, Props
-from inhand.synth.scene import NEAREST, Scene, SceneMaker, Surroundings, with_errors
+from inhand.synth.scene import NEAREST, Scene, SceneMaker, with_errors
+from inhand.synth.surroundings import Surroundings
 
 FIRST_VISIBLE = 0.35
 """Visible share of the object in the first image, or more; less only if the protocol allows no

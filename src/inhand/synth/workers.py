@@ -12,7 +12,8 @@ from pathlib import Path
 
 from inhand.cluster import map_on_ray
 from inhand.errors import InputError
-from inhand.synth.dataset import Plan, Workshop
+from inhand.synth.dataset import Workshop
+from inhand.synth.plan import Plan
 
 Job = tuple[int, int]
 """Numbers of scene and image."""

@@ -18,7 +18,7 @@ from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.overlay import ModelRenderer, Placement, Window
 from inhand.stages.evidence import gather_evidence, score_with_contact
-from inhand.viewer.drawing import reach_sphere
+from inhand.viewer.clouds import reach_sphere
 from inhand.viewer.frames import ViewedFrame
 from inhand.viewer.silhouettes import Pictures
 from inhand.viewer.stages import StageView, stage_views

@@ -1,10 +1,13 @@
-"""Clouds of points, coloured by what a stage made of them."""
+"""Clouds of points, coloured as the camera sees them or by what a stage made of them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from inhand.camera import Camera
+from inhand.geometry.se3 import Array, transform
+from inhand.hand import Hand
 from inhand.overlay import HAND_COLOUR, OBJECT_COLOUR, Colour, Pixels
 from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
@@ -51,6 +54,49 @@ def by_weight(observation: Observation, segment: Segment) -> Cloud:
         np.concatenate([observation.points, segment.points]),
         np.concatenate([dim, of_segment]).astype(np.uint8),
     )
+
+
+def scene_cloud(
+    depth: NDArray[np.float32],
+    camera: Camera,
+    pixels: Pixels,
+    *,
+    sphere: tuple[Array, float] | None = None,
+    step: int = 1,
+) -> tuple[NDArray[np.float32], Pixels, NDArray[np.intp]]:
+    """The points of a depth image with their colours.
+
+    Args:
+        depth: depth image [m], shape (H, W), 0 where there is no reading.
+        camera: its camera.
+        pixels: colours by pixel, shape (H, W, 3).
+        sphere: only points in the sphere of this centre [m] and radius [m], camera frame.
+        step: only every so-many-th pixel along either side.
+
+    Returns:
+        points [m], camera frame, shape (n, 3); their colours, shape (n, 3); and the flat index of
+        the pixel of each, shape (n,).
+    """
+    v, u = np.nonzero(depth[::step, ::step] > 0)
+    v, u = v * step, u * step
+    z = depth[v, u].astype(np.float64)
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
+    if sphere is not None:
+        near = np.linalg.norm(points - sphere[0], axis=1) < sphere[1]
+        points, v, u = points[near], v[near], u[near]
+    return points.astype(np.float32), pixels[v, u], v * depth.shape[1] + u
+
+
+def reach_sphere(hand: Hand, T_camera_hand: Array, margin: float = 0.05) -> tuple[Array, float]:
+    """Centre [m], camera frame, and radius [m] of a sphere around all that the hand can reach.
+
+    Args:
+        hand: the hand.
+        T_camera_hand: its wrist pose, shape (4, 4).
+        margin: added to the radius [m].
+    """
+    centre, radius = hand.reach
+    return transform(T_camera_hand, centre[None])[0], radius + margin
 
 
 def score_colours(scores: NDArray[np.float64]) -> Pixels:

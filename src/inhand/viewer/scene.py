@@ -10,7 +10,7 @@ from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.overlay import HAND_COLOUR, OBJECT_COLOUR, Placement, grey_depth, residual_colours
 from inhand.viewer.analysis import Analysis
-from inhand.viewer.clouds import DIM, score_colours
+from inhand.viewer.clouds import DIM, scene_cloud, score_colours
 from inhand.viewer.controls import CloudKind, LayerControls
 from inhand.viewer.drawing import (
     CameraDrawing,
@@ -18,7 +18,6 @@ from inhand.viewer.drawing import (
     HandDrawing,
     ObjectDrawing,
     View,
-    scene_cloud,
 )
 from inhand.viewer.silhouettes import TRUE_COLOUR
 from inhand.viewer.stages import StageView
