@@ -119,7 +119,7 @@ class ObjectTrackConfig(Section):
     may move where it does not show it as well."""
     lever: float = 0.03
     """Motion that counts as one radian of turning there [m/rad]."""
-    lasting: NonNegative = 0.4
+    lasting: NonNegative = 0.5
     """Sd of the errors that are the same in all images, in units of those that are not; see
     `Track.lasting`."""
     memory: Share = 0.8
