@@ -12,8 +12,8 @@ Prints a line a sequence, then a table of the targets:
   5 mm. A sequence's first image has no track; it is left out.
 - recovery: images until a right answer (ADI < 5 mm), once a quarter of the object's silhouette has
   readings again after less than a tenth had.
-- 95 % ellipsoid: followed right answers whose true pose lies in the ellipsoid of their covariance,
-  of the object's centre alone and of all six dimensions (the nearest of symmetric poses), for an
+- 95 % ellipsoid: followed answers whose true pose (the nearest of symmetric ones) lies in the
+  ellipsoid of their covariance, of the object's centre alone and of all six dimensions, for an
   object that moved in the camera since the last image and for one that did not.
 - jitter: where the true pose stays for 12 images or more, the standard deviation of the object's
   centre, along each axis, and of its rotation, about each axis, past the stretch's first five
@@ -142,10 +142,11 @@ def distances(
     covariance = about_origin(e.covariance, e.T_camera_object, -obj.centre)
     equal = truth @ obj.symmetry.representatives(SPINS)
     twists = np.stack([twist_between(e.T_camera_object, T, obj.centre) for T in equal])
-    place = twists[0, 3:]
+    squared = np.einsum("ni,ij,nj->n", twists, np.linalg.inv(covariance), twists)
+    place = twists[squared.argmin(), 3:]
     return {
         3: float(place @ np.linalg.solve(covariance[3:, 3:], place)),
-        6: float(np.einsum("ni,ij,nj->n", twists, np.linalg.inv(covariance), twists).min()),
+        6: float(squared.min()),
     }
 
 
@@ -254,7 +255,7 @@ def table(
     hidden = [u for u in updates if u.seen < 0.02]
     found = [u for u in updates if u.estimate.found]
     joints = [error for u in found for error in u.joints] or [np.nan]
-    followed = [u for u in found if u.followed and u.right]
+    followed = [u for u in found if u.followed]
     moving, still_ones = ([u for u in followed if u.moved is moved] for moved in (True, False))
     place, turn = np.sqrt(np.mean(still, axis=0)) if still else (np.nan, np.nan)
     rows = [
