@@ -274,6 +274,7 @@ def test_a_place_is_taken_when_two_searches_agree_on_it(
         return replace(e, T_camera_object=e.T_camera_hand @ away, confidence=0.99)
 
     monkeypatch.setattr(tracker.estimator, "estimate", answer)
+    monkeypatch.setattr("inhand.tracking.tracker.stands_beside_the_hand", lambda *_: True)
     for image in range(5, 10):
         e = moving.show(tracker, image, without_the_object(moving.scenes[image]))
         if image in searched:

@@ -154,8 +154,6 @@ class LossConfig(Section):
     """While there is no track to agree with, one search of this confidence is enough."""
     same: float = 0.004
     """Poses whose surfaces are nearer than this on average agree [m]."""
-    worse_hand: Share = 0.1
-    """The hand of a search may explain the image worse than the followed one by this share."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from inhand.geometry import se3
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import gather_evidence, score_with_contact
-from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
@@ -60,10 +59,9 @@ def stands_beside_the_hand(
     obj: PackedObject,
     config: TrackerConfig,
 ) -> bool:
-    """Whether what an answer takes for the object is no part of the hand that is followed.
+    """Whether the image shows an answer's object beside the hand that is followed.
 
-    It is not if the image shows the object there and not that hand, or if the answer's own hand
-    explains the image as well as that one.
+    If not, what it takes for the object is a part of that hand, or fits it by chance.
 
     Args:
         estimate: the answer, found.
@@ -72,15 +70,9 @@ def stands_beside_the_hand(
         hand, obj: the models.
         config: parameters.
     """
-    sighting, c = Sighting.of(estimate), config.loss
-    q = np.stack([track.joint_vector, hand.hand.joint_vector(estimate.joint_positions)])
-    links = hand.link_poses(q, np.stack([track.T_camera_hand, sighting.T_camera_hand]))
-    of_hand = config.estimator.hand_state
-    followed, found = (hand_support(observation, hand, T, of_hand).whole for T in links)
-    if found >= followed - c.worse_hand * abs(followed):
-        return True
-    state = HandState(track.joint_vector, track.T_camera_hand, links[0], track.certain)
-    T = sighting.T_camera_object
+    c, T, q = config.loss, Sighting.of(estimate).T_camera_object, track.joint_vector
+    links = hand.link_poses(q[None], track.T_camera_hand[None])[0]
+    state = HandState(q, track.T_camera_hand, links, track.certain)
     there = replace(track, T_camera_object=T)
     try:
         segment = segment_near(observation, state, there, hand, obj, config)
