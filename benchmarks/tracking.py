@@ -12,6 +12,9 @@ Prints a line a sequence, then a table of the targets:
   5 mm. A sequence's first image has no track; it is left out.
 - recovery: images until a right answer (ADI < 5 mm), once a quarter of the object's silhouette has
   readings again after less than a tenth had.
+- 95 % ellipsoid: followed answers whose true pose (the nearest of symmetric ones) lies in the
+  ellipsoid of their covariance, of the object's centre alone and of all six dimensions, for an
+  object that moved in the camera since the last image and for one that did not.
 - jitter: where the true pose stays for 12 images or more, the standard deviation of the object's
   centre, along each axis, and of its rotation, about each axis, past the stretch's first five
   images; root mean square over stretches and axes.
@@ -36,6 +39,7 @@ from inhand.datasets.bop_models import load_model, model_name
 from inhand.evaluation.metrics import adi, sample_model
 from inhand.evaluation.results import JOINT_PIXELS
 from inhand.geometry.se3 import transform
+from inhand.tracking.gaussian import about_origin, twist_between
 
 RIGHT = 0.005
 """ADI below which an answer is right [m]."""
@@ -43,6 +47,10 @@ SURE = 0.5
 """Confidence from which on a wrong answer is an undetected one."""
 SEEN, HIDDEN = 0.25, 0.1
 """Shares of the silhouette with readings from which on, and below which, the object is seen."""
+ELLIPSOID = {3: 7.81, 6: 12.59}
+"""Chi squared of 95 % by degrees of freedom."""
+SPINS = 24
+"""Turns about a continuous axis of symmetry that are looked through."""
 STILL, SETTLING = 12, 5
 """Images of a stretch without motion, and those at its start that are left out."""
 
@@ -58,11 +66,16 @@ class Update:
     """Share of the object's silhouette with readings."""
     truth: NDArray[np.float64]
     """True T_camera_object, shape (4, 4)."""
+    moved: bool
+    """Whether that is another than in the last image."""
     estimate: inhand.PoseEstimate
     error: float
     """ADI [m]; inf without an answer."""
     wrist: float
     """Distance of the wrist's origin from where it is [m]; nan if unknown."""
+    apart: dict[int, float]
+    """Squared distance from the truth in units of the covariance, by degrees of freedom: of the
+    object's centre (3) and of its pose (6); empty without an answer."""
     joints: list[float]
     """Errors [rad] of the joints whose links show over `JOINT_PIXELS` pixels."""
     cpu: float
@@ -94,7 +107,7 @@ def follow(scene: Path, config: inhand.TrackerConfig | None = None) -> Iterator[
     name = model_name(models, read_image(scene, images[0]).instances[0].object_id)
     obj = load_model(models, name)
     tracker = inhand.PoseTracker(hand, obj, config, device="cpu")
-    tree = KDTree(sample_model(obj.mesh))
+    tree, before = KDTree(sample_model(obj.mesh)), None
     for i in images:
         image = read_image(scene, i)
         instance, hand_truth = image.instances[0], image.hand
@@ -108,13 +121,33 @@ def follow(scene: Path, config: inhand.TrackerConfig | None = None) -> Iterator[
             time=image.time,
             seen=readings / max(instance.silhouette_pixels, 1),
             truth=instance.T_camera_object,
+            moved=before is not None
+            and not np.allclose(instance.T_camera_object, before, atol=1e-9),
             estimate=e,
             error=adi(tree, e.T_camera_object, instance.T_camera_object) if e.found else np.inf,
             wrist=wrist_distance(e, image.hand.T_camera_hand),
+            apart=distances(e, instance.T_camera_object, obj) if e.found else {},
             joints=joint_errors(e, image, hand) if e.joint_positions else [],
             cpu=cpu,
             wall=wall,
         )
+        before = instance.T_camera_object
+
+
+def distances(
+    e: inhand.PoseEstimate, truth: NDArray[np.float64], obj: inhand.ObjectModel
+) -> dict[int, float]:
+    """`Update.apart` of an answer with the object's true pose, shape (4, 4)."""
+    # From the frame's origin, of which the covariance speaks, to the object's centre.
+    covariance = about_origin(e.covariance, e.T_camera_object, -obj.centre)
+    equal = truth @ obj.symmetry.representatives(SPINS)
+    twists = np.stack([twist_between(e.T_camera_object, T, obj.centre) for T in equal])
+    squared = np.einsum("ni,ij,nj->n", twists, np.linalg.inv(covariance), twists)
+    place = twists[squared.argmin(), 3:]
+    return {
+        3: float(place @ np.linalg.solve(covariance[3:, 3:], place)),
+        6: float(squared.min()),
+    }
 
 
 def wrist_distance(e: inhand.PoseEstimate, T_camera_hand: NDArray[np.float64]) -> float:
@@ -222,6 +255,8 @@ def table(
     hidden = [u for u in updates if u.seen < 0.02]
     found = [u for u in updates if u.estimate.found]
     joints = [error for u in found for error in u.joints] or [np.nan]
+    followed = [u for u in found if u.followed]
+    moving, still_ones = ([u for u in followed if u.moved is moved] for moved in (True, False))
     place, turn = np.sqrt(np.mean(still, axis=0)) if still else (np.nan, np.nan)
     rows = [
         ("sequences, images", f"{sum(u.image == 0 for u in updates)}, {len(updates)}", ""),
@@ -232,6 +267,8 @@ def table(
         ("object, ADI: median", f"{1000 * np.median([u.error for u in found]):.2f} mm", ""),
         ("wrist: median", f"{1000 * np.nanmedian([u.wrist for u in found]):.2f} mm", ""),
         ("joints in view: median", f"{np.degrees(np.median(joints)):.2f} degrees", ""),
+        ("truth in the 95 % ellipsoid, moving: centre, pose", _ellipsoid(moving), "90 to 98 %"),
+        ("still: centre, pose", _ellipsoid(still_ones), "90 to 98 %"),
         ("images with under 2 % seen: answered, wrongly", _hidden(hidden), ""),
         ("undetected losses: number, longest", f"{len(fooled)}, {max(fooled, default=0)}", "3"),
         ("recoveries within 2 images", _share([n <= 2 for n in recovered]), "all"),
@@ -249,6 +286,11 @@ def _two(values: NDArray[np.float64]) -> str:
 
 def _share(right: list[bool]) -> str:
     return f"{sum(right)} of {len(right)}"
+
+
+def _ellipsoid(updates: list[Update]) -> str:
+    shares = [np.mean([u.apart[n] < ELLIPSOID[n] for u in updates] or [np.nan]) for n in (3, 6)]
+    return f"{shares[0]:.1%}, {shares[1]:.1%} of {len(updates)}"
 
 
 def _hidden(updates: list[Update]) -> str:

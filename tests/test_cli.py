@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tiny_urdf
+import warp as wp
 from PIL import Image
 
 from inhand import Camera, EstimatorConfig, PoseEstimate, PoseEstimator
@@ -206,8 +207,12 @@ def test_interrupt(files: dict[str, str], calls: Calls, monkeypatch: pytest.Monk
 def test_warmup(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     devices: list[str] = []
     monkeypatch.setattr("inhand.cli.common.load_kernels", lambda device, _: devices.append(device))
+    of_tracker = wp.get_module("inhand.tracking.kernels")
+    of_tracker.unload()
+    assert not of_tracker.execs
     assert main(["warmup", "--device", "cpu"]) == 0
     assert devices == ["cpu"]
+    assert of_tracker.execs, "the tracker's kernels are loaded"
     assert "ready" in capsys.readouterr().out
 
 

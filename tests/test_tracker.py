@@ -219,8 +219,7 @@ def test_an_object_taken_away_is_missed_within_three_images(moving: Film) -> Non
     fooled = 0
     for i in range(5, 9):
         scene = moving.scenes[i]
-        without = np.where(scene.images.object_depth == scene.images.depth, 0, scene.depth)
-        e = moving.show(tracker, i, without)
+        e = moving.show(tracker, i, without_the_object(scene))
         fooled += e.found and e.confidence >= 0.5
     assert fooled <= 3
     assert not e.found
@@ -247,6 +246,54 @@ def test_an_object_that_jumps_is_found_again(moving: Film) -> None:
         right.append(close)
         assert close or not e.found or e.confidence < 0.5 or i < 8, "an undetected loss"
     assert right[-1]
+
+
+def without_the_object(scene: Scene) -> np.ndarray:
+    """Depth (H, W) without readings of the object."""
+    return np.where(scene.images.object_depth == scene.images.depth, 0, scene.depth)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_place_is_taken_when_two_searches_agree_on_it(
+    moving: Film, followed: list[PoseEstimate], monkeypatch: pytest.MonkeyPatch, moves: bool
+) -> None:
+    """However sure they are; one that sees the object here and there is not believed."""
+    tracker = moving.tracker()
+    for i in range(5):
+        assert moving.show(tracker, i).found
+    image = 5
+    searched: list[int] = []
+    found: list[bool] = []
+
+    def answer(*_: object) -> PoseEstimate:
+        searched.append(image)
+        scene, e = moving.scenes[image], followed[image]
+        away = se3.inverse(scene.T_camera_hand) @ scene.T_camera_object
+        away[:3, 3] += [0.0, 0.03, 0.02 * (image % 2) if moves else 0.0]
+        assert e.T_camera_hand is not None
+        return replace(e, T_camera_object=e.T_camera_hand @ away, confidence=0.99)
+
+    monkeypatch.setattr(tracker.estimator, "estimate", answer)
+    monkeypatch.setattr("inhand.tracking.tracker.stands_beside_the_hand", lambda *_: True)
+    for image in range(5, 10):
+        e = moving.show(tracker, image, without_the_object(moving.scenes[image]))
+        if image in searched:
+            found.append(e.found)
+    assert len(found) > 1
+    assert not found[0]
+    assert any(found) is not moves
+
+
+def test_a_first_answer_that_is_not_sure_needs_a_second(
+    moving: Film, followed: list[PoseEstimate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracker = moving.tracker()
+    unsure = [replace(e, confidence=0.7) for e in followed]
+    monkeypatch.setattr(tracker.estimator, "estimate", lambda *_: unsure.pop(0))
+    first = moving.show(tracker, 0)
+    assert not first.found
+    assert "second" in first.reason
+    assert moving.show(tracker, 1).found
 
 
 def test_a_hidden_finger_stays_where_it_was(moving: Film) -> None:

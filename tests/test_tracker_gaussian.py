@@ -10,6 +10,7 @@ from inhand.tracking.config import LossConfig
 from inhand.tracking.gaussian import (
     about_origin,
     carried,
+    fused,
     moved,
     rotation_vector,
     system_of,
@@ -50,6 +51,20 @@ def test_a_covariance_about_the_origin_is_that_of_the_moved_origin(
     expected = about_origin(np.diag(sd**2), T, pivot)
     size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert (np.abs(np.cov(seen.T) - expected) / size).max() < 0.15
+
+
+@given(twists, twists, vectors)
+def test_what_two_poses_say_together(at: np.ndarray, values: np.ndarray, pivot: np.ndarray) -> None:
+    """Informations add up, and the pose between them is weighed by them."""
+    A = np.random.default_rng(2).normal(size=(6, 6))
+    one, other = A @ A.T + np.eye(6), np.diag(1 + np.abs(values))
+    T = se3.exp(at)
+    there = moved(T, 1e-4 * values, pivot)
+    between, covariance = fused((T, one), (there, other), pivot)
+    information = np.linalg.inv(one) + np.linalg.inv(other)
+    np.testing.assert_allclose(covariance @ information, np.eye(6), atol=1e-7)
+    step = covariance @ np.linalg.solve(other, 1e-4 * values)
+    np.testing.assert_allclose(twist_between(T, between, pivot), step, atol=1e-7)
 
 
 @given(twists, vectors)

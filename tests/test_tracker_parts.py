@@ -42,6 +42,7 @@ def track_of(held: HeldObject, covariance: np.ndarray) -> Track:
         certain=np.ones(len(held.hand.hand.links), dtype=bool),
         T_camera_object=held.T_camera_object,
         object_covariance=covariance,
+        lasting=np.zeros((6, 6)),
         motion=np.zeros(6),
         confidence=0.9,
     )
@@ -76,6 +77,36 @@ def test_a_pose_that_is_well_known_stays(held: HeldObject) -> None:
     expected = moved(held.T_camera_object, twist, centre)
     track = replace(track_of(held, SURE / 100), T_camera_object=expected)
     assert np.linalg.norm(twist_between(expected, follow(held, track), centre)[3:]) < 0.0005
+
+
+def test_the_same_image_again_and_again_does_not_make_sure(held: HeldObject) -> None:
+    """Errors that change average out; the others stay, as large as one image's, scaled."""
+    track = track_of(held, UNSURE)
+    segment = segment_near(held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
+    evidence = gather_evidence(
+        held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
+    )
+    system, _ = _system(evidence, held.obj, held.T_camera_object, CONFIG)
+    of_one = np.linalg.inv(CONFIG.object.point_information * system)
+    for _ in range(30):
+        found = follow_object(evidence, held.obj, track, CONFIG)
+        track = found.kept_in(track, 0.9, CONFIG)
+    places = np.s_[3:, 3:]
+    assert np.trace(track.object_covariance[places]) < 0.1 * np.trace(of_one[places])
+    left = np.trace((track.lasting @ track.lasting.T)[places])
+    expected = CONFIG.object.lasting**2 * np.trace(of_one[places])
+    assert 0.5 * expected < left < 1.5 * expected
+
+
+def test_what_moves_may_move_where_it_does_not_show(held: HeldObject) -> None:
+    still = track_of(held, SURE)
+    moves = replace(still, motion=np.array([0, 0, 0, 0.002, 0, 0]))
+    hand = held.hand.hand
+    after = [predicted(track, still.given, 1 / 30, hand, CONFIG) for track in (still, moves)]
+    grown = np.diag(after[1].object_covariance - after[0].object_covariance)
+    assert (grown > 0).all()
+    assert grown[3] > 5 * grown[4:].max()
+    np.testing.assert_allclose(grown[:3], grown[4] / CONFIG.object.lever**2)
 
 
 def test_the_segment_is_the_object(held: HeldObject) -> None:

@@ -38,6 +38,9 @@ class StartConfig(Section):
     """[rad] per axis."""
     object_shift: float = 0.005
     """[m] per axis."""
+    lasting: NonNegative = 2.0
+    """The object may be off by this many times as much all the same, in directions in which no
+    image corrects it; see `Track.lasting`."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,14 @@ class ObjectTrackConfig(Section):
     agility: NonNegative = 0.7
     """The sd of its motion from image to image is this times the recent motion, and more if it is
     still."""
+    unseen_agility: NonNegative = 0.3
+    """And in every direction this times the root mean square of all: what the image shows to move
+    may move where it does not show it as well."""
+    lever: float = 0.03
+    """Motion that counts as one radian of turning there [m/rad]."""
+    lasting: NonNegative = 0.5
+    """Sd of the errors that are the same in all images, in units of those that are not; see
+    `Track.lasting`."""
     memory: Share = 0.8
     """Weight of earlier images in the recent motion."""
     start_lead: NonNegative = 0.02
@@ -137,11 +148,12 @@ class LossConfig(Section):
     again: Share = 0.5
     """Probability that an object which was lost is where it is expected."""
     accept: Share = 0.6
-    """A tracker that is lost takes a pose of this confidence or more ..."""
-    accept_elsewhere: Share = 0.95
-    """... and one of this if it is not where the object was expected."""
-    elsewhere: float = 0.01
-    """Mean distance of the surfaces from which on it is not [m]."""
+    """A tracker that is lost takes a pose of this confidence or more; of a search, only if it
+    agrees with where the object was expected or where the last image's search had it."""
+    sure: Share = 0.8
+    """While there is no track to agree with, one search of this confidence is enough."""
+    same: float = 0.004
+    """Poses whose surfaces are nearer than this on average agree [m]."""
 
 
 @dataclass(frozen=True)

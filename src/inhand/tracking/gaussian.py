@@ -45,6 +45,17 @@ def carried(covariance: Array, R: Array) -> Array:
     return np.asarray(whole @ covariance @ whole.T)
 
 
+def fused(
+    one: tuple[Array, Array], other: tuple[Array, Array], pivot: Array
+) -> tuple[Array, Array]:
+    """What two independent poses say together, each a pose (4, 4) and its covariance (6, 6)."""
+    (T, covariance), (T_other, covariance_other) = one, other
+    gain = covariance @ np.linalg.inv(covariance + covariance_other)
+    step = np.asarray(gain @ twist_between(T, T_other, pivot))
+    left = covariance - gain @ covariance
+    return moved(T, step, pivot), np.asarray((left + left.T) / 2)
+
+
 def about_origin(covariance: Array, T: Array, pivot: Array) -> Array:
     """Covariance (6, 6) of a pose `T` (4, 4) for a twist about the body's origin, not its pivot."""
     J = np.eye(6)

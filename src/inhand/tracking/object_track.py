@@ -29,7 +29,9 @@ class FollowedObject:
     T_camera_object: Array
     """Its pose, shape (4, 4)."""
     covariance: Array
-    """Of its twist about the centre, shape (6, 6)."""
+    """Of its twist about the centre by errors that change from image to image, shape (6, 6)."""
+    lasting: Array
+    """Its twist by each unit of the errors that do not, shape (6, 6); see `Track.lasting`."""
     innovation: Array
     """Twist from where it was expected to where the image alone has it, shape (6,)."""
     score: float
@@ -42,6 +44,7 @@ class FollowedObject:
             track,
             T_camera_object=self.T_camera_object,
             object_covariance=self.covariance,
+            lasting=self.lasting,
             motion=keep * track.motion + (1 - keep) * self.innovation,
             confidence=confidence,
         )
@@ -111,14 +114,25 @@ def follow_object(
     score = score_with_contact(evidence, obj, fitted, config.estimator.selection)
     best = int(np.argmax(score + [c.start_lead, 0.0]))
     T = fitted[best].astype(np.float64)
+    A, b = _system(evidence, obj, T, config)
+    seen = c.point_information * A
     innovation = twist_between(expected, T, centre)
     prior = np.linalg.inv(track.object_covariance)
-    A, b = _system(evidence, obj, T, config)
-    H = c.point_information * A + prior
+    covariance = np.linalg.inv(seen + prior)
     way = twist_between(T, expected, centre)
-    step = np.asarray(np.linalg.solve(H, c.point_information * b + prior @ way), dtype=np.float64)
-    T = moved(T, step, centre)
-    return FollowedObject(T, np.linalg.inv(H), innovation, float(score[best]))
+    step = covariance @ (c.point_information * b + prior @ way)
+    # The same error in all images: what the image adds comes on top of what is left of it.
+    kept = np.eye(6) - covariance @ seen
+    lasting = kept @ track.lasting + c.lasting * covariance @ _root(seen)
+    return FollowedObject(
+        moved(T, step, centre), covariance, lasting, innovation, float(score[best])
+    )
+
+
+def _root(A: Array) -> Array:
+    """Symmetric root of a positive semidefinite matrix."""
+    values, vectors = np.linalg.eigh(A)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0)) @ vectors.T)
 
 
 def _system(

@@ -31,11 +31,19 @@ class Track:
     T_camera_object: Array
     """Estimated pose of the object, shape (4, 4)."""
     object_covariance: Array
-    """Of its twist about the object's centre, shape (6, 6)."""
+    """Of its twist about the object's centre by errors that change from image to image, (6, 6)."""
+    lasting: Array
+    """Its twist by each unit of the errors that are the same in all images, shape (6, 6): of the
+    sensor's noise near edges, of the models, of the hand. More images do not lessen these."""
     motion: Array
     """Recent twist per image beyond what was predicted, shape (6,)."""
     confidence: float
     """Probability that the object's pose is right."""
+
+    @property
+    def whole_covariance(self) -> Array:
+        """Covariance of the object's twist by errors of both kinds, shape (6, 6)."""
+        return np.asarray(self.object_covariance + self.lasting @ self.lasting.T)
 
 
 def begun(estimate: PoseEstimate, given: Array, hand: Hand, config: TrackerConfig) -> Track:
@@ -59,6 +67,7 @@ def begun(estimate: PoseEstimate, given: Array, hand: Hand, config: TrackerConfi
         certain=np.zeros(len(hand.links), dtype=bool),
         T_camera_object=estimate.T_camera_object,
         object_covariance=start_covariance(config),
+        lasting=c.lasting * np.sqrt(start_covariance(config)),
         motion=np.zeros(6),
         confidence=estimate.confidence,
     )
@@ -89,7 +98,9 @@ def predicted(
     wrist = [c.wrist_turn] * 3 + [c.wrist_motion] * 3
     drift = np.concatenate([wrist, c.joint_motion * joint_scale(hand, config)]) ** 2 * seconds
     still = np.array([o.still_turn] * 3 + [o.still_motion] * 3) ** 2 * seconds
-    noise = np.diag(still) + np.diag((o.agility * track.motion) ** 2)
+    lever = np.array([o.lever] * 3 + [1.0] * 3)
+    anywhere = (o.unseen_agility / lever) ** 2 * np.mean((lever * track.motion) ** 2)
+    noise = np.diag(still + (o.agility * track.motion) ** 2 + anywhere)
     R = step[:3, :3]
     return replace(
         track,
@@ -98,6 +109,7 @@ def predicted(
         hand_covariance=carried(track.hand_covariance, R) + np.diag(drift),
         T_camera_object=step @ track.T_camera_object,
         object_covariance=carried(track.object_covariance, R) + noise,
+        lasting=np.concatenate([R @ track.lasting[:3], R @ track.lasting[3:]]),
         motion=np.concatenate([R @ track.motion[:3], R @ track.motion[3:]]),
         confidence=expected_confidence(track.confidence, config.loss),
     )

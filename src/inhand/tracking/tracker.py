@@ -13,7 +13,6 @@ from inhand.estimate import Candidate, PoseEstimate
 from inhand.estimator import Clock, PoseEstimator, check_depth, check_wrist
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
-from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
@@ -23,6 +22,7 @@ from inhand.tracking.gaussian import Array, about_origin
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
+from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
 from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
@@ -59,6 +59,7 @@ class PoseTracker:
         self._track: Track | None = None
         self._rng = np.random.default_rng(self.config.estimator.seed)
         self._lost = True
+        self._sighting: Sighting | None = None  # of the last image
         self._images = 0
         self._time: float | None = None
 
@@ -135,7 +136,7 @@ class PoseTracker:
         if confidence < (loss.accept if self._lost else loss.lost):
             self._lost = True
             return self._no_answer("the image does not show the object where it is expected", clock)
-        self._lost = False
+        self._lost, self._sighting = False, None
         self._track = found.kept_in(track, confidence, config)
         return self._answer(found.score, clock)
 
@@ -156,26 +157,54 @@ class PoseTracker:
         self.estimator.config = replace(self.config.estimator, seed=seed)
         estimate = self.estimator.estimate(image, camera, given)
         clock.seconds.update(estimate.timings)
+        before, self._sighting = self._sighting, None
         if not estimate.found:
             # Of a hand that is hidden, the track knows more than the estimator.
             unseen = replace(estimate, timings=clock.seconds)
             return self._no_answer(estimate.reason, clock) if self._track else unseen
-        if estimate.confidence < self._wanted(estimate):
+        if estimate.confidence < self.config.loss.accept:
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._no_answer(reason, clock)
+        if not self._stands_beside_the_hand(estimate, image, camera):
+            return self._no_answer("the search takes a part of the hand for the object", clock)
+        self._sighting = Sighting.of(estimate)
+        if not self._confirmed(estimate, before):
+            return self._no_answer("no second image agrees yet on where the object is", clock)
         self._lost = False
-        self._track = begun(estimate, given, self._hand.hand, self.config)
-        return replace(estimate, timings=clock.seconds, covariance=self._covariance())
+        self._track = self._resumed(estimate, given)
+        T, covariance = self._track.T_camera_object, self._covariance()
+        return replace(estimate, T_camera_object=T, timings=clock.seconds, covariance=covariance)
 
-    def _wanted(self, estimate: PoseEstimate) -> float:
-        """Confidence that an answer of the estimator must have to be taken."""
-        loss, track, T = self.config.loss, self._track, estimate.T_camera_object
-        if track is None or T is None:
-            return loss.accept
-        expected = track.T_camera_object.astype(np.float32)
-        one = T[None].astype(np.float32)
-        apart = surface_distances_to(one, expected, self._object, 2 * loss.elsewhere)[0]
-        return loss.accept if apart < loss.elsewhere else loss.accept_elsewhere
+    def _stands_beside_the_hand(
+        self, estimate: PoseEstimate, image: NDArray[np.float32], camera: Camera
+    ) -> bool:
+        """Whether a search took no part of the followed hand for the object, if one is followed."""
+        track, hand, obj, config = self._track, self._hand, self._object, self.config
+        if track is None:
+            return True
+        try:
+            observation = look_at(image, camera, track, hand, obj, config)
+        except NoAnswer:
+            return True
+        return stands_beside_the_hand(estimate, track, observation, hand, obj, config)
+
+    def _confirmed(self, estimate: PoseEstimate, before: Sighting | None) -> bool:
+        """Whether the track or the last image's search agree on where a search found the object.
+
+        While there is no track, a search may be sure enough alone.
+        """
+        sighting, track, obj, config = Sighting.of(estimate), self._track, self._object, self.config
+        if track is None:
+            alone = estimate.confidence >= config.loss.sure
+        else:
+            alone = same_place(sighting.T_camera_object, track.T_camera_object, obj, config)
+        return alone or (before is not None and sighting.agrees_with(before, obj, config))
+
+    def _resumed(self, estimate: PoseEstimate, given: Array) -> Track:
+        """The track after a search."""
+        if self._track is None:
+            return begun(estimate, given, self._hand.hand, self.config)
+        return resumed(self._track, estimate, given, self._hand, self._object, self.config)
 
     def _answer(self, score: float, clock: Clock) -> PoseEstimate:
         track = self._track
@@ -209,4 +238,4 @@ class PoseTracker:
         track = self._track
         assert track is not None
         centre = self._object.model.centre
-        return about_origin(track.object_covariance, track.T_camera_object, centre)
+        return about_origin(track.whole_covariance, track.T_camera_object, centre)
