@@ -288,10 +288,17 @@ def find_pairs(
     count[i] = found
 
 
+PARALLEL = wp.constant(1.0e-5)
+"""Unit vectors that enclose less than this are parallel, up to rounding [rad]."""
+
+
 @wp.func
 def handedness(u: wp.vec3, v: wp.vec3, n1: wp.vec3, n2: wp.vec3, n3: wp.vec3, n4: wp.vec3):
     """On which side of the plane of lines u and v the surface looks; tells mirror images apart."""
-    return 0.25 * wp.dot(wp.normalize(wp.cross(u, v)), n1 + n2 + n3 + n4)
+    across = wp.cross(u, v)
+    if wp.length(across) < PARALLEL:  # no plane
+        return 0.0
+    return 0.25 * wp.dot(wp.normalize(across), n1 + n2 + n3 + n4)
 
 
 @wp.kernel
