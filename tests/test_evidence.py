@@ -161,6 +161,18 @@ def test_no_pose_nearby_explains_the_image_better_than_the_true_one(name: str) -
     assert found[0] > 0.5
 
 
+def test_the_explained_share_counts_points_as_near_as_asked_for() -> None:
+    scene = held_object("industrial_part")
+    T = scene.T_camera_object @ exp(np.random.default_rng(1).normal(0, 0.002, (20, 6)))
+    poses = device_poses(T, "cpu")
+    usual, narrow = evidence_of(scene), evidence_of(scene, config=replace(CONFIG, near=0.002))
+    asked = agreement(usual, scene.obj, poses, SAMPLES, near=0.002)
+    np.testing.assert_array_equal(asked, agreement(narrow, scene.obj, poses, SAMPLES))
+    wide = agreement(usual, scene.obj, poses, SAMPLES)
+    np.testing.assert_array_equal(asked[:, 0], wide[:, 0])
+    assert (asked[:, 1] < 0.95 * wide[:, 1]).all()
+
+
 def test_links_without_support_do_not_hide_the_object() -> None:
     """Rendered where the image shows empty space, a link would excuse wrong poses."""
     scene = held_object("cuboid")

@@ -152,7 +152,8 @@ def test_the_ranking_is_by_fit_and_contact() -> None:
     evidence = gather_evidence(
         scene.observation, scene.hand_state, scene.segment, scene.hand, EvidenceConfig()
     )
-    expected = score_with_contact(evidence, scene.obj, poses.astype(np.float32), CONFIG)
+    T = poses.astype(np.float32)
+    expected = score_with_contact(evidence, scene.obj, T, CONFIG, near=CONFIG.near)
     np.testing.assert_array_equal(found.score, np.sort(expected)[::-1])
 
 

@@ -435,6 +435,9 @@ class SelectionConfig(Section):
     """`likelihood`: model points held against the hand."""
     segment_points: int = 800
     """`likelihood`: segment points used."""
+    near: float = 0.002
+    """`likelihood`: a segment point this near to the model's surface is explained [m]; nearer than
+    for poses that are not refined yet."""
     grasps: int = 4
     """`likelihood`: poses that hidden fingers are placed against."""
     finger_points: int = 50

@@ -76,7 +76,13 @@ def visible_score(
 
 @wp.func
 def explained_share(
-    e: ObjectEvidence, T: wp.mat44, fields: Fields, stride: int, total: float, least: float
+    e: ObjectEvidence,
+    T: wp.mat44,
+    fields: Fields,
+    near: float,
+    stride: int,
+    total: float,
+    least: float,
 ):
     """Weighted share of the segment's points that lie on the posed model's surface.
 
@@ -91,7 +97,7 @@ def explained_share(
             return 1.0 - missed / total
         w = e.weights[i]
         value = field_at(fields, 0, wp.transform_vector(inverse, e.points[i] - t))
-        x = wp.abs(value[0]) / e.near
+        x = wp.abs(value[0]) / near
         agreement = float(0.0)
         if x < 1.0:
             gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
@@ -110,6 +116,7 @@ def score_poses(
     normals: wp.array(dtype=wp.vec3),
     n_points: int,
     fields: Fields,
+    near: float,
     segment_stride: int,
     segment_weight: float,
     worth: float,
@@ -120,6 +127,7 @@ def score_poses(
 
     Args (beyond the obvious):
         points, normals: model surface samples, object frame; the first `n_points` are used.
+        near: a segment point this near to the model's surface is explained [m].
         segment_stride: every how many segment points one is used.
         segment_weight: sum of the weights of these.
         worth: a pose that is certain to score less is left with some score below this.
@@ -129,7 +137,7 @@ def score_poses(
     T = T_camera_object[i]
     seen = visible_score(e, rule, T, points, normals, n_points)
     least = (worth - seen) / wp.max(e.share_weight, 1.0e-6)
-    share = explained_share(e, T, fields, segment_stride, segment_weight, least)
+    share = explained_share(e, T, fields, near, segment_stride, segment_weight, least)
     agreement[i] = wp.vec2(seen, e.share_weight * share)
 
 

@@ -95,6 +95,7 @@ def agreement(
     T_camera_object: Any,
     samples: Samples,
     worth: float = -np.inf,
+    near: float | None = None,
 ) -> NDArray[np.float32]:
     """Scores, shape (m, 2): of what the camera sees of poses, and of what segment they explain.
 
@@ -104,6 +105,7 @@ def agreement(
         T_camera_object: poses on the device, `wp.array` of `wp.mat44`.
         samples: how finely to score.
         worth: poses that score less together get some scores whose sum is below this.
+        near: a segment point this near to the model is explained [m]; by default as configured.
     """
     out: Any = wp.empty(len(T_camera_object), dtype=wp.vec2, device=obj.device)
     rule, config = Visibility(), evidence.config
@@ -116,7 +118,7 @@ def agreement(
         score_poses,
         len(out),
         [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
-        + [stride, float(weights.sum()) + 1e-6, worth, out],
+        + [near or config.near, stride, float(weights.sum()) + 1e-6, worth, out],
         obj.device,
         work_per_item=4 * (n + len(weights)),
     )
@@ -129,10 +131,11 @@ def score_with_contact(
     T_camera_object: NDArray[np.floating[Any]],
     samples: Samples,
     worth: float = -np.inf,
+    near: float | None = None,
 ) -> NDArray[np.float32]:
     """Scores, shape (m,), of poses (m, 4, 4): their `agreement`, less the `contact_penalty`."""
     poses = device_poses(T_camera_object, obj.device)
-    scores = agreement(evidence, obj, poses, samples, worth).sum(axis=1)
+    scores = agreement(evidence, obj, poses, samples, worth, near).sum(axis=1)
     # Contact only takes away: what is below already stays there.
     left = np.flatnonzero(scores >= worth)
     poses = device_poses(T_camera_object[left], obj.device)

@@ -34,7 +34,7 @@ def select(
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
         joint_vector = hand_state.joint_vector
     else:
-        scores = score_with_contact(evidence, obj, poses.T_camera_object, config)
+        scores = score_with_contact(evidence, obj, poses.T_camera_object, config, near=config.near)
         scored = PoseSet(poses.T_camera_object, scores)
         ranked = distinct_poses(scored, obj, config.merge_distance, len(poses))
         ranked, joint_vector = place_hidden_fingers(ranked, evidence, obj, config)
