@@ -269,7 +269,8 @@ def test_models_come_back_with_their_symmetries(
         assert again.name == obj.name
         assert again.diameter == pytest.approx(obj.diameter, rel=1e-14)
         np.testing.assert_allclose(again.mesh.bounds, obj.mesh.bounds, rtol=1e-14, atol=1e-17)
-        assert_same(again.symmetry.rotations, obj.symmetry.rotations)
+        rotations = again.symmetry.rotations, obj.symmetry.rotations
+        np.testing.assert_allclose(*rotations, rtol=1e-14, atol=1e-16)
         np.testing.assert_allclose(again.symmetry.centre, obj.symmetry.centre, atol=2e-5)
         assert (again.symmetry.axis is None) == (obj.symmetry.axis is None)
         if obj.symmetry.axis is not None and again.symmetry.axis is not None:
