@@ -129,7 +129,7 @@ def score_configurations(
     seen[c] = open_area / area
 
 
-Support = wp.types.vector(length=5, dtype=float)
+SupportSums = wp.types.vector(length=5, dtype=float)
 """Sums over camera-facing surface samples: the area; the judgements and the area that nothing hides
 of what no other part hides or explains; both of the rest."""
 
@@ -149,7 +149,7 @@ def link_support(
     hand_depth: wp.array(dtype=float),
     hand_link: wp.array(dtype=int),
     hand_step: int,
-    sums: wp.array(dtype=Support),
+    sums: wp.array(dtype=SupportSums),
     first: int,
 ):
     """One work item a link: judgements of its camera-facing surface samples.
@@ -163,11 +163,11 @@ def link_support(
             part hides, or explains as well, is summed apart.
         hand_depth, hand_link: rendered depth [m] of the hand and the link that it shows, -1 for
             none, at every `hand_step`-th pixel.
-        sums: out, see `Support`, for all samples of the link.
+        sums: out, see `SupportSums`, for all samples of the link.
     """
     k = first + wp.tid()
     T = T_camera_link[k]
-    sum = Support()
+    sum = SupportSums()
     sum[0] = 1.0e-6
     stride = wp.max(1, (start[k + 1] - start[k]) // most)
     parts = k * spheres.shape[0]

@@ -118,6 +118,7 @@ class ArticulatedFit:
         return FitInProgress(state, assemble)
 
     def _work(self, stride: int) -> int:
+        """Rough number of operations of one iteration of one start."""
         return (10 * len(self.problem.points) + 4 * len(self.problem.hand_points)) // stride
 
     def _start(self, q: Array, T_camera_hand: Array, widths: Array, stride: int) -> tuple[Any, Any]:

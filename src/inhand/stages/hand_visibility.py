@@ -102,7 +102,7 @@ def hand_support(
     coarse = observation.camera.subsampled(config.render_step)
     shown = wp.full(coarse.width * coarse.height, -1, dtype=int, device=device)
     depth = hand.render(coarse, T_camera_link, np.ones(count, dtype=bool), link=shown)
-    sums = wp.empty(count, dtype=hand_fit.Support, device=device)
+    sums = wp.empty(count, dtype=hand_fit.SupportSums, device=device)
     launch(
         link_support,
         count,
