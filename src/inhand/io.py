@@ -79,7 +79,7 @@ def read_transform(path: str | Path, key: str = "T_camera_hand") -> NDArray[np.f
     Raises:
         InputError: the file is missing, is not JSON, lacks the key, or holds no rigid transform.
     """
-    fields = _read_json(path)
+    fields = read_json(path)
     if key not in fields:
         raise InputError(
             f'{path} lacks the key "{key}", a 4x4 matrix; it has {", ".join(fields) or "none"}'
@@ -115,7 +115,7 @@ def read_result(path: str | Path) -> PoseEstimate:
     Raises:
         InputError: the file is missing, is not JSON or no result.
     """
-    fields = _read_json(path)
+    fields = read_json(path)
     try:
         return PoseEstimate(
             found=fields["found"],
@@ -226,7 +226,12 @@ def _read_npy(path: Path) -> NDArray[Any]:
     return pixels
 
 
-def _read_json(path: str | Path) -> dict[str, Any]:
+def read_json(path: str | Path) -> dict[str, Any]:
+    """The named fields of a JSON file.
+
+    Raises:
+        InputError: there is no such file, or it does not hold a JSON object.
+    """
     path = _existing(path, "file")
     try:
         fields = json.loads(path.read_text(encoding="utf-8"))

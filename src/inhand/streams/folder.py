@@ -9,7 +9,6 @@ FOLDER/
                      without ending; an image that is left out has no wrist pose
 """
 
-import json
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from inhand.camera import Camera
 from inhand.errors import InputError
 from inhand.geometry.se3 import check_rigid
-from inhand.io import read_depth, read_transform
+from inhand.io import read_depth, read_json, read_transform
 from inhand.streams.bag import BagKind
 from inhand.streams.config import StreamConfig
 from inhand.streams.image_times import image_times
@@ -140,15 +139,7 @@ def read_poses(path: Path) -> dict[str, Entry]:
     Raises:
         InputError: the file is broken.
     """
-    try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON: {error}") from error
-    if not isinstance(fields, dict):
-        raise InputError(f"{path} must hold a JSON object with the images' names")
-    return {name: _entry(value, f'"{name}" in {path}') for name, value in fields.items()}
+    return {name: _entry(value, f'"{name}" in {path}') for name, value in read_json(path).items()}
 
 
 def _entry(value: Any, where: str) -> Entry:
