@@ -7,6 +7,7 @@ The scene is fixed and the estimator repeatable, so the pictures only change whe
 
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import inhand
+from inhand.config import FirstLookConfig
 from inhand.estimate import PoseEstimate
 from inhand.estimator import StageResults
 from inhand.evaluation.metrics import ObjectMetric, angle_errors, wrist_error
@@ -230,7 +232,8 @@ def save(path: Path, panels: Iterable[Panel]) -> None:
 def main(folder: Path) -> None:
     """Draw all pictures into `folder`."""
     scene = demo_scene()
-    estimator = inhand.PoseEstimator(scene.hand, scene.obj, device="cpu")
+    whole_search = replace(inhand.EstimatorConfig(), first_look=FirstLookConfig(enough=1.0))
+    estimator = inhand.PoseEstimator(scene.hand, scene.obj, whole_search, device="cpu")
     estimate, stages = estimator.run(scene.depth, scene.camera, scene.T_camera_hand_given)
     draw = Pictures(scene, estimate, stages)
     folder.mkdir(parents=True, exist_ok=True)
