@@ -75,7 +75,7 @@ class Pictures:
     def region(self) -> list[Panel]:
         """Where the hand may be in the whole image, and the normals of the surfaces there."""
         seen = self._stages.observation
-        cloud = seen.every_pixel
+        cloud = seen.cloud(step=1)
         v, u = self._rows_and_columns(cloud.points)
         whole = grey_depth(self._scene.depth) // 2
         whole[v, u] = grey_depth(self._scene.depth)[v, u]
