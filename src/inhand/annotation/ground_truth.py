@@ -20,12 +20,12 @@ from inhand.annotation.session import Label, Session
 from inhand.datasets.bop import DEPTH_UNIT, SPLIT, BopImage, HandInfo, HandTruth, Instance
 from inhand.datasets.bop_models import write_models
 from inhand.datasets.bop_writer import finish_scene, write_dataset_files, write_image
-from inhand.datasets.exact import write_whole
 from inhand.errors import InputError
 from inhand.evaluation.metrics import ObjectMetric
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.synth.renderer import BACKGROUND_BODY, NO_BODY, OBJECT_BODY, Images, SceneRenderer
+from inhand.whole_file import write_whole
 
 IN_FRONT = 0.015
 """A reading this far in front of a model hides it [m]: BOP's tolerance for visibility masks."""

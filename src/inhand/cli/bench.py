@@ -12,6 +12,7 @@ from rich import progress
 from rich.console import Console
 
 from inhand.cli.common import Preset, load_kernels
+from inhand.whole_file import write_whole
 
 if TYPE_CHECKING:
     from inhand.evaluation.contact_sheet import ContactSheet
@@ -159,7 +160,7 @@ def _write_summary(
     content: Mapping[str, Any] = {"methods": summaries}
     if len(summaries) == 1:
         (content,) = summaries.values()
-    path.write_text(json.dumps({"settings": settings, **content}, indent=2) + "\n")
+    write_whole(path, json.dumps({"settings": settings, **content}, indent=2) + "\n")
 
 
 def _tell_sweeps(results: Sequence["FrameResult"], path: Path, console: Console) -> None:
@@ -170,7 +171,7 @@ def _tell_sweeps(results: Sequence["FrameResult"], path: Path, console: Console)
     found = sweep_tables(results)
     for table in found:
         console.print(tables.terminal(table))
-    path.write_text("\n".join(tables.markdown(table, table.title) for table in found))
+    write_whole(path, "\n".join(tables.markdown(table, table.title) for table in found))
     console.print(f"Wrote {path}")
 
 

@@ -31,7 +31,7 @@ def run(args: Demo) -> int:
 
     from inhand.cli.common import load_kernels, print_estimate
     from inhand.estimator import PoseEstimator
-    from inhand.io import with_folder
+    from inhand.io import write_picture
     from inhand.kernels.launch import resolve_device
     from inhand.picture import draw_estimate
     from inhand.synth.demo import demo_scene
@@ -49,7 +49,7 @@ def run(args: Demo) -> int:
     picture = draw_estimate(
         estimate, scene.hand, scene.obj, scene.depth, scene.camera, device=device
     )
-    with_folder(args.out, picture.save)
+    write_picture(args.out, picture)
     console.print(f"The picture is {args.out}", highlight=False)
     return 0 if estimate.found else 1
 

@@ -53,7 +53,7 @@ def run(args: Estimate) -> int:
     from inhand.cli.common import load_kernels, make_config, print_estimate
     from inhand.estimator import PoseEstimator
     from inhand.hand import Hand
-    from inhand.io import read_colour, read_depth, read_transform, with_folder, write_result
+    from inhand.io import read_colour, read_depth, read_transform, write_picture, write_result
     from inhand.kernels.launch import resolve_device
     from inhand.object_model import ObjectModel
     from inhand.picture import draw_estimate
@@ -78,5 +78,5 @@ def run(args: Estimate) -> int:
         write_result(args.out, estimate)
     if args.picture is not None:
         picture = draw_estimate(estimate, hand, obj, depth, camera, colour=colour, device=device)
-        with_folder(args.picture, picture.save)
+        write_picture(args.picture, picture)
     return 0 if estimate.found else 1

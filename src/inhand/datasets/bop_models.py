@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inhand.datasets.exact import metres, millimetres, read_json, rigid, write_whole
+from inhand.datasets.exact import metres, millimetres, read_json, rigid
 from inhand.errors import InputError
 from inhand.geometry.mesh import TriangleMesh
 from inhand.object_model import ObjectModel
 from inhand.object_symmetry import Symmetry
+from inhand.whole_file import write_whole
 
 INFO = "models_info.json"
 _FOLDERS = ("models", "models_eval", "models_cad", "models_fine", "models_reconst")

@@ -34,8 +34,9 @@ from inhand.datasets.bop import (
     is_scene,
     read_scene,
 )
-from inhand.datasets.exact import millimetres, read_json, write_whole
+from inhand.datasets.exact import millimetres, read_json
 from inhand.errors import InputError
+from inhand.whole_file import write_whole
 
 
 def write_image(scene: Path, image_id: int, image: BopImage) -> None:

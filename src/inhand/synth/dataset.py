@@ -25,12 +25,13 @@ from inhand.datasets.bop import (
 )
 from inhand.datasets.bop_models import write_models
 from inhand.datasets.bop_writer import finish_scene, is_written, write_dataset_files, write_image
-from inhand.datasets.exact import read_json, write_whole
+from inhand.datasets.exact import read_json
 from inhand.errors import InputError
 from inhand.synth.plan import Plan, hand_urdf, load_hand, load_object, scene_folder
 from inhand.synth.renderer import BACKGROUND_BODY, OBJECT_BODY
 from inhand.synth.scene import HAND_COLOURS, OBJECT_COLOURS, Scene, SceneMaker
 from inhand.synth.sequence import SequenceMaker
+from inhand.whole_file import write_whole
 
 PLAN = "synth.json"
 """File in the data set's folder that holds its plan."""
@@ -61,9 +62,17 @@ def start(folder: Path, plan: Plan) -> None:
         load_hand(folder, plan)
     write_whole(folder / PLAN, json.dumps(fields, indent=1) + "\n")
     if plan.hand is None and not hand_urdf(folder, plan).is_file():
-        write_hand(folder / ".hand.unfinished")
-        os.replace(folder / ".hand.unfinished", folder / "hand")
+        _write_builtin_hand(folder / "hand")
     write_models(folder / "models", models)
+
+
+def _write_builtin_hand(place: Path) -> None:
+    unfinished = place.with_name(f".unfinished-{place.name}")
+    try:
+        write_hand(unfinished)
+        os.replace(unfinished, place)
+    except OSError as error:
+        raise InputError(f"cannot write {place}: {error.strerror or error}") from error
 
 
 def missing_images(folder: Path, plan: Plan) -> list[tuple[int, int]]:
