@@ -50,6 +50,9 @@ class Run:
     """Also show the images and results on a web page, as they come; it stays until Ctrl-C."""
     port: int | None = None
     """Port of that page. Default: 8080."""
+    host: str | None = None
+    """Address that the page's server listens on; 0.0.0.0 lets other machines in. Default:
+    127.0.0.1."""
     rate: float | None = None
     """Play a recording back in real time (1.0), or slower or faster, and drop what comes while an
     image is being processed. Default: every image, as fast as it goes."""
@@ -119,6 +122,8 @@ def _check_options(args: Run) -> None:
 
     if args.port is not None and not args.view:
         raise InputError("--port is the port of the page: give --view too, or leave it out")
+    if args.host is not None and not args.view:
+        raise InputError("--host is the address of the page: give --view too, or leave it out")
     if args.bag_kind is not None and args.bag is None:
         raise InputError("--bag-kind is the kind of a recording: give --bag PATH too")
 
@@ -236,13 +241,14 @@ def _page(
         return
     from inhand.cli.common import make_config
     from inhand.errors import InputError
-    from inhand.viewer.server import PORT
+    from inhand.viewer.server import HOST, PORT
     from inhand.viewer.stream_output import PageOutput, StagesKept
 
     kept = estimate if isinstance(estimate, StagesKept) else None
+    host = HOST if args.host is None else args.host
     port = PORT if args.port is None else args.port
     config = make_config(args.preset, args.seed)
-    page = PageOutput(hand, obj, port, config, device, kept)
+    page = PageOutput(hand, obj, host, port, config, device, kept)
     console.print(f"Page: {page.address}", highlight=False, markup=False)
     try:
         yield [page]

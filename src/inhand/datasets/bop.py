@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from inhand.camera import Camera
-from inhand.datasets.bop_models import find_models, model_name
+from inhand.datasets.bop_models import find_models, model_alike, model_name
 from inhand.datasets.exact import metres, read_json, rigid
 from inhand.datasets.frame import (
     LABEL_BACKGROUND,
@@ -55,6 +55,7 @@ from inhand.datasets.frame import (
     Truth,
 )
 from inhand.errors import InputError
+from inhand.geometry.mesh import TriangleMesh
 from inhand.io import read_colour, read_depth
 
 Array = NDArray[np.float64]
@@ -265,6 +266,25 @@ def find_frames(folder: Path) -> list[Path]:
                 f"{scene_id}, which the scene's {TRUTH} lacks"
             )
     return [path for target, path in frames if targets is None or target in targets]
+
+
+def frame_of_object(files: SceneFiles, image_id: int, mesh: TriangleMesh) -> Path:
+    """The frame of the object in an image whose model a mesh is like.
+
+    Raises:
+        InputError: there is no such model, or the image does not show that object once.
+    """
+    models = find_models(dataset_folder(files.folder))
+    if models is None:
+        raise InputError(f"the data set of {files.folder} has no models to tell its objects by")
+    object_id = model_alike(models, mesh)
+    numbers = [int(i["obj_id"]) for i in _entry(files.truth, image_id, files.folder / TRUTH)]
+    if numbers.count(object_id) != 1:
+        raise InputError(
+            f"{files.folder / TRUTH} has {numbers.count(object_id)} objects number {object_id} in "
+            f"image {image_id}"
+        )
+    return _frame_path(files.folder, image_id, numbers.index(object_id))
 
 
 def _frame_path(scene: Path, image_id: int, index: int) -> Path:

@@ -113,7 +113,7 @@ class Workshop:
             self._make, self._scene_id = self._scene(scene_id), scene_id
         rng = np.random.default_rng([plan.seed, scene_id, image_id])
         scene, time = self._make(image_id, rng)
-        image = replace(_annotated(scene, 1 + plan.object_index(scene_id)), time=time)
+        image = replace(annotated(scene, 1 + plan.object_index(scene_id)), time=time)
         write_image(scene_folder(self._folder, scene_id), image_id, image)
 
     def _scene(
@@ -156,7 +156,7 @@ def finish(folder: Path, plan: Plan) -> None:
     write_dataset_files(folder, plan.camera, scenes)
 
 
-def _annotated(scene: Scene, object_id: int) -> BopImage:
+def annotated(scene: Scene, object_id: int) -> BopImage:
     """A scene as an image of a data set."""
     images = scene.images
     links = scene.hand.link_poses(scene.joint_positions)
