@@ -31,9 +31,8 @@ from inhand.datasets.bop import (
     HandInfo,
     HandTruth,
     Instance,
-    is_scene,
-    read_scene,
 )
+from inhand.datasets.bop_scene import is_scene, read_scene
 from inhand.datasets.exact import millimetres, read_json
 from inhand.errors import InputError
 from inhand.whole_file import write_whole

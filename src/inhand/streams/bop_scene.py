@@ -6,19 +6,10 @@ from functools import partial
 from pathlib import Path
 
 from inhand.camera import Camera
-from inhand.datasets.bop import (
-    CAMERA,
-    HAND,
-    SceneFiles,
-    find_scenes,
-    frame_of_object,
-    is_scene,
-    read_camera,
-    read_frame,
-    read_scene,
-    read_sensed,
-    read_time,
-)
+from inhand.datasets.bop import CAMERA, HAND
+from inhand.datasets.bop_frames import frame_of_object, read_frame
+from inhand.datasets.bop_images import read_camera, read_sensed, read_time
+from inhand.datasets.bop_scene import SceneFiles, find_scenes, is_scene, read_scene
 from inhand.datasets.frame import Frame as LabelledFrame
 from inhand.errors import InputError
 from inhand.object_model import ObjectModel

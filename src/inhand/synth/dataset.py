@@ -15,15 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from inhand.builtin.hand import write_hand
-from inhand.datasets.bop import (
-    DEPTH_UNIT,
-    BopImage,
-    HandInfo,
-    HandTruth,
-    Instance,
-    is_scene,
-)
+from inhand.datasets.bop import DEPTH_UNIT, BopImage, HandInfo, HandTruth, Instance
 from inhand.datasets.bop_models import write_models
+from inhand.datasets.bop_scene import is_scene
 from inhand.datasets.bop_writer import finish_scene, is_written, write_dataset_files, write_image
 from inhand.datasets.exact import read_json
 from inhand.errors import InputError
