@@ -20,7 +20,8 @@ from inhand.cli import main
 from inhand.datasets.bop import HandInfo
 from inhand.datasets.bop_models import write_models
 from inhand.datasets.bop_writer import finish_scene, write_image
-from inhand.evaluation.metrics import ObjectMetric, wrist_error
+from inhand.evaluation.hand_errors import wrist_error
+from inhand.evaluation.metrics import ObjectMetric
 from inhand.geometry.mesh import TriangleMesh
 from inhand.streams.bag import BagKind
 from inhand.synth.dataset import annotated

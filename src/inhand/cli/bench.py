@@ -101,7 +101,7 @@ def run(args: Bench) -> int:
     from inhand.evaluation.bop_export import write_bop_results
     from inhand.evaluation.contact_sheet import worst_frames
     from inhand.evaluation.machine import origin
-    from inhand.evaluation.report import print_comparison, print_summary
+    from inhand.evaluation.printing import print_comparison, print_summary
     from inhand.evaluation.results import Ledger
     from inhand.evaluation.shards import Shard
     from inhand.evaluation.summary import summarise

@@ -58,7 +58,8 @@ def _print_errors(estimate: "PoseEstimate", scene: "Scene", console: "Console") 
     """Print how far the estimate is from the truth of the scene."""
     from math import degrees
 
-    from inhand.evaluation.metrics import ObjectMetric, angle_errors, wrist_error
+    from inhand.evaluation.hand_errors import angle_errors, wrist_error
+    from inhand.evaluation.metrics import ObjectMetric
 
     assert estimate.T_camera_object is not None
     assert estimate.T_camera_hand is not None

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from inhand.evaluation import tables
-from inhand.evaluation.contents import Item, Section
 from inhand.evaluation.results import Record
+from inhand.evaluation.sections import Item, Section
 from inhand.evaluation.tables import Table
 from inhand.whole_file import write_whole
 
