@@ -66,6 +66,7 @@ def test_json_lines(tmp_path: Path) -> None:
             "refused": 0,
             "stopped": "",
             "first_problem": "image 1: no wrist pose: it is never told",
+            "first_not_found": "",
         }
     }
 

@@ -150,10 +150,12 @@ def test_nothing_found_is_exit_code_1(
     calls: list[Any],
     source: Path,
     monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     nothing = PoseEstimate(False, "hidden", None, {}, None, 0.0)
     monkeypatch.setattr(PoseEstimator, "estimate", lambda *args: nothing)
     assert main(["run", str(source), *models, "--out", str(tmp_path / "o.jsonl")]) == 1
+    assert "The first without an answer: image 0: hidden" in capsys.readouterr().err
 
 
 def test_bad_input_leaves_no_output(

@@ -58,7 +58,8 @@ def read_depth(path: str | Path, camera: Camera) -> NDArray[np.float32]:
     try:
         return check_depth(depth, camera)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        counts = "" if pixels.dtype.kind == "f" else f" (a count is {camera.depth_unit:g} m)"
+        raise InputError(f"{path}{counts}: {error}") from error
 
 
 def read_colour(path: str | Path, camera: Camera) -> NDArray[np.uint8]:

@@ -11,7 +11,7 @@ import tyro
 from rich import progress
 from rich.console import Console
 
-from inhand.cli.common import Preset, load_kernels
+from inhand.cli.common import Preset, load_kernels, waiting
 from inhand.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def run(args: Bench) -> int:
     if args.ray:
         scored = map_on_ray(make_scorer, jobs)
     else:
-        with console.status("Building the model of the hand (from the cache next time)"):
+        with waiting(console, "Building the model of the hand (from the cache next time)"):
             scored = map(make_scorer(), jobs)
     keys = [key_of(file, m, p) for m, p in runs for file in files]
     finished = _run_with_progress(ledger.record(scored), keys, ledger, console)

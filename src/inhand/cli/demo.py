@@ -29,7 +29,7 @@ def run(args: Demo) -> int:
     """
     from rich.console import Console
 
-    from inhand.cli.common import load_kernels, print_estimate
+    from inhand.cli.common import load_kernels, print_estimate, waiting
     from inhand.estimator import PoseEstimator
     from inhand.io import write_picture
     from inhand.kernels.launch import resolve_device
@@ -39,7 +39,7 @@ def run(args: Demo) -> int:
     console = Console()
     device = resolve_device(args.device)
     load_kernels(device, console)
-    with console.status("Making the scene"):
+    with waiting(console, "Making the scene"):
         scene = demo_scene(device)
     estimator = PoseEstimator(scene.hand, scene.obj, device=device)
     estimate = estimator.estimate(scene.depth, scene.camera, scene.T_camera_hand_given)

@@ -50,7 +50,7 @@ def run(args: Estimate) -> int:
     from rich.console import Console
 
     from inhand.camera import Camera
-    from inhand.cli.common import load_kernels, make_config, print_estimate
+    from inhand.cli.common import load_kernels, make_config, print_estimate, waiting
     from inhand.estimator import PoseEstimator
     from inhand.hand import Hand
     from inhand.io import read_colour, read_depth, read_transform, write_picture, write_result
@@ -67,9 +67,12 @@ def run(args: Estimate) -> int:
     T_camera_hand = read_transform(args.hand_pose)
     device = resolve_device(args.device)
     load_kernels(device, progress)
-    with progress.status("Building the models of hand and object (from the cache next time)"):
+    with waiting(progress, "Building the models of hand and object (from the cache next time)"):
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
+    size = f"{1000 * obj.diameter:.0f} mm across"
+    said = f"Hand: {hand.name}, {', '.join(hand.joint_names)}. Object: {obj.name}, {size}"
+    progress.print(said, highlight=False, markup=False)
     estimate = PoseEstimator(hand, obj, config=config, device=device).estimate(
         depth, camera, T_camera_hand
     )
@@ -79,4 +82,6 @@ def run(args: Estimate) -> int:
     if args.picture is not None:
         picture = draw_estimate(estimate, hand, obj, depth, camera, colour=colour, device=device)
         write_picture(args.picture, picture)
+    if written := [str(path) for path in (args.out, args.picture) if path is not None]:
+        progress.print(f"Wrote {' and '.join(written)}", highlight=False, markup=False)
     return 0 if estimate.found else 1

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from inhand.cli.common import Preset
+from inhand.cli.common import Preset, waiting
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -105,7 +105,7 @@ def run(args: Run) -> int:
     _check_options(args)
     console = Console(stderr=True)
     device = resolve_device(args.device)
-    with console.status(f"Opening {args.source}"):
+    with waiting(console, f"Opening {args.source}"):
         source = open_source(args.source, _stream_config(args))
     try:
         for line in source.description:
@@ -137,7 +137,7 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
     runner.check_pace(source, args.rate, args.limit)
     paths = _output_paths(args, source)
     load_kernels(device, console)
-    with console.status("Building the models of hand and object (from the cache next time)"):
+    with waiting(console, "Building the models of hand and object (from the cache next time)"):
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
     estimate = _make_estimate(args, hand, obj, device)
@@ -151,6 +151,10 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
             if problem := summary.first_problem:
                 message = f"The first that could not be estimated: {problem}"
                 console.print(message, highlight=False, markup=False)
+            if (missed := summary.first_not_found) and not summary.counts.found:
+                console.print(
+                    f"The first without an answer: {missed}", highlight=False, markup=False
+                )
             return summary
         finally:
             console.print(f"Results: {', '.join(map(str, paths))}", highlight=False, markup=False)
