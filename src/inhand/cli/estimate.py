@@ -70,12 +70,11 @@ def run(args: Estimate) -> int:
     with waiting(progress, "Building the models of hand and object (from the cache next time)"):
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
-    size = f"{1000 * obj.diameter:.0f} mm across"
-    said = f"Hand: {hand.name}, {', '.join(hand.joint_names)}. Object: {obj.name}, {size}"
-    progress.print(said, highlight=False, markup=False)
     estimate = PoseEstimator(hand, obj, config=config, device=device).estimate(
         depth, camera, T_camera_hand
     )
+    size = f"{1000 * obj.diameter:.0f} mm across"
+    progress.print(f"Object: {obj.name}, {size}", highlight=False, markup=False)
     print_estimate(estimate, console)
     if args.out is not None:
         write_result(args.out, estimate)
