@@ -100,7 +100,7 @@ def test_found(
     np.testing.assert_array_equal(read_result(out).T_camera_object, T_OBJECT)
     assert Image.open(picture).width > 1000
     printed, said = capsys.readouterr()
-    assert "Object: object, 62 mm across" in said
+    assert "object, 62 mm across" in printed
     assert str(picture) in said.replace("\n", "")
     assert "0.75" in printed
     assert "28.6 deg  bend" in printed

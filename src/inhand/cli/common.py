@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 
     from inhand.config import EstimatorConfig
     from inhand.estimate import PoseEstimate
+    from inhand.object_model import ObjectModel
 
 Preset = Literal["default", "paper"]
 
@@ -54,16 +55,18 @@ def load_kernels(device: str, console: "Console") -> None:
         load_all_kernels(device, lambda name: say(f"{text}: {name}"))
 
 
-def print_estimate(estimate: "PoseEstimate", console: "Console") -> None:
-    """Print the pose, the joint angles and the times, or why there is no answer."""
+def print_estimate(estimate: "PoseEstimate", obj: "ObjectModel", console: "Console") -> None:
+    """Print the object's size, its pose, the joint angles and the times, or why there is none."""
     from math import degrees
 
+    from rich.markup import escape
     from rich.table import Table
 
     if not estimate.found:
         console.print(f"[bold red]Not found:[/] {estimate.reason}", highlight=False)
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(style="dim")
+    table.add_row("object", f"{escape(obj.name)}, {1000 * obj.diameter:.0f} mm across")
     if estimate.found:
         table.add_row("confidence", f"{estimate.confidence:.2f}")
     for name in ("T_camera_object", "T_camera_hand"):

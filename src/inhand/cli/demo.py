@@ -43,7 +43,7 @@ def run(args: Demo) -> int:
         scene = demo_scene(device)
     estimator = PoseEstimator(scene.hand, scene.obj, device=device)
     estimate = estimator.estimate(scene.depth, scene.camera, scene.T_camera_hand_given)
-    print_estimate(estimate, console)
+    print_estimate(estimate, scene.obj, console)
     if estimate.found:
         _print_errors(estimate, scene, console)
     picture = draw_estimate(

@@ -73,9 +73,7 @@ def run(args: Estimate) -> int:
     estimate = PoseEstimator(hand, obj, config=config, device=device).estimate(
         depth, camera, T_camera_hand
     )
-    size = f"{1000 * obj.diameter:.0f} mm across"
-    progress.print(f"Object: {obj.name}, {size}", highlight=False, markup=False)
-    print_estimate(estimate, console)
+    print_estimate(estimate, obj, console)
     if args.out is not None:
         write_result(args.out, estimate)
     if args.picture is not None:
