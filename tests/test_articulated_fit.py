@@ -16,6 +16,7 @@ from tiny_urdf import joint, link, mimic, write
 from inhand.camera import Camera
 from inhand.geometry.se3 import exp, inverse, skew, transform
 from inhand.hand import Hand
+from inhand.kernels.hand_fit import DepthView
 from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
 from inhand.stages.observation import Observation
@@ -196,13 +197,19 @@ def check_system(
     np.testing.assert_allclose(g / scale / rms, expected_g / scale / rms, atol=0.02)
 
 
+def without_depth(observation: Observation) -> Observation:
+    """The same scene cloud with an empty image."""
+    view = DepthView()
+    view.camera, view.normals = observation.view.camera, observation.view.normals
+    view.missing = observation.view.missing
+    view.depth = wp.zeros(observation.depth.size, dtype=float, device="cpu")
+    return replace(observation, view=view)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_scene_points_are_pulled_along_the_derivative_of_their_distance(seed: int) -> None:
     hand, T_true, width = gripper(), wrist(), 0.008
-    blind = replace(
-        seen(hand, GRIPPER_Q, T_true),
-        depth_on_device=wp.zeros(CAMERA.width * CAMERA.height, dtype=float, device="cpu"),
-    )
+    blind = without_depth(seen(hand, GRIPPER_Q, T_true))
     fit = fit_of(blind, hand)
     rng = np.random.default_rng(seed)
     T = T_true @ exp(rng.normal(0, 1, 6) * ([0.01] * 3 + [0.001] * 3))
@@ -260,7 +267,7 @@ def test_surface_samples_are_pulled_along_the_derivative_of_their_plane(seed: in
     d = np.where(inside, full.depth.reshape(-1)[pixel], 0)
     reading = p * (d / p[:, 2])[:, None]
     facing = -(n * p).sum(axis=1) / np.linalg.norm(p, axis=1)
-    agreement = (n * full.normals_on_device.numpy()[pixel]).sum(axis=1).clip(0)
+    agreement = (n * full.view.normals.numpy()[pixel]).sum(axis=1).clip(0)
     weights = facing * tukey((n * (reading - p)).sum(axis=1), width) * agreement
     weights[(facing < 0.15) | (d == 0) | (np.abs(d - p[:, 2]) > width)] = 0
 
@@ -273,10 +280,7 @@ def test_surface_samples_are_pulled_along_the_derivative_of_their_plane(seed: in
 @pytest.mark.parametrize("stride", [2, 3])
 def test_every_so_many_th_point_can_take_part(stride: int) -> None:
     hand = gripper()
-    blind = replace(
-        seen(hand, GRIPPER_Q, wrist()),
-        depth_on_device=wp.zeros(CAMERA.width * CAMERA.height, dtype=float, device="cpu"),
-    )
+    blind = without_depth(seen(hand, GRIPPER_Q, wrist()))
     fewer = replace(blind, points=blind.points[::stride], normals=blind.normals[::stride])
     q, T = GRIPPER_Q[None] + 0.002, wrist()[None]
     H, g, _ = system(fit_of(blind, hand), q, T, stride=stride)

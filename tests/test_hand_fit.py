@@ -14,7 +14,6 @@ from inhand.geometry.se3 import exp
 from inhand.kernels.hand_fit import Visibility, score_configurations
 from inhand.kernels.launch import launch
 from inhand.packed import device_poses
-from inhand.stages.articulated_fit import depth_view
 from inhand.stages.segmentation import distances_to_hand
 
 SMALL = Camera(fx=100, fy=100, cx=20, cy=15, width=41, height=31)
@@ -148,8 +147,8 @@ def brute_force(
 ) -> tuple[float, float]:
     """Score and open share of a finger in the scene's image, point by point, by another route."""
     config, camera = HandStateConfig(), scene.observation.camera
-    missing = scene.observation.missing_on_device.numpy()
-    seen_normals = scene.observation.normals_on_device.numpy()
+    missing = scene.observation.view.missing.numpy()
+    seen_normals = scene.observation.view.normals.numpy()
     depth = scene.observation.depth.reshape(-1)
     total = area = open_area = 0.0
     for i in scene.hand.hand.fingers[finger].links:
@@ -201,7 +200,7 @@ def test_scores_of_fingers_are_those_of_brute_force() -> None:
         launch(
             score_configurations,
             len(q),
-            [depth_view(scene.observation), rule, part.pose(q[:, part.joints], wrists)]
+            [scene.observation.view, rule, part.pose(q[:, part.joints], wrists)]
             + [len(part.links), part.points, part.normals, part.link, samples, 0, 0.0]
             + [fixed, 1, score, seen],
             "cpu",

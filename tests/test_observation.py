@@ -40,7 +40,7 @@ def test_the_region_is_a_window_of_the_image() -> None:
     height, width = found.depth.shape
     assert (found.camera.width, found.camera.height) == (width, height)
     np.testing.assert_array_equal(found.depth, scene.depth[v0 : v0 + height, u0 : u0 + width])
-    np.testing.assert_array_equal(found.depth_on_device.numpy(), found.depth.reshape(-1))
+    np.testing.assert_array_equal(found.view.depth.numpy(), found.depth.reshape(-1))
     np.testing.assert_allclose(
         rays(found.camera), rays(CAMERA)[v0 : v0 + height, u0 : u0 + width], atol=1e-12
     )
@@ -95,8 +95,8 @@ def test_points_lie_on_the_surfaces_with_their_normals() -> None:
 def test_the_cloud_is_an_even_subset_of_all_pixels() -> None:
     scene, T = scene_of()
     found = seen(scene.depth, T)
-    everything = {p.tobytes() for p in found.every_pixel.points}
-    assert len(everything) == len(found.every_pixel.points)
+    everything = {p.tobytes() for p in found.cloud(step=1).points}
+    assert len(everything) == len(found.cloud(step=1).points)
     assert all(p.tobytes() in everything for p in found.points)
     coarse = seen(scene.depth, T, config=replace(CONFIG, point_spacing=2 * CONFIG.point_spacing))
     assert 3 < len(found.points) / len(coarse.points) < 5
@@ -114,8 +114,8 @@ def test_what_is_behind_the_hand_stays_in_the_image_but_not_in_the_cloud() -> No
     assert (found.depth > 2).sum() == (without.depth == 0).sum()
     assert found.points[:, 2].max() < 1
     assert len(found.points) <= len(without.points)
-    assert (found.missing_on_device.numpy() == 0).all()
-    assert (without.missing_on_device.numpy() > 0).any()
+    assert (found.view.missing.numpy() == 0).all()
+    assert (without.view.missing.numpy() > 0).any()
 
 
 def test_nan_infinity_and_zero_are_no_reading() -> None:
@@ -178,7 +178,7 @@ def test_readings_that_are_missing_everywhere_are_no_sign_of_empty_space(lost: f
     hole[v0 : v0 + 60, u0 : u0 + 60] = True
     missing = hole | (np.random.default_rng(0).random(wall.shape) < lost)
     found = seen(np.where(missing, 0, wall), T)
-    share = found.missing_on_device.numpy().reshape(found.depth.shape)
+    share = found.view.missing.numpy().reshape(found.depth.shape)
     (u, v), (height, width) = found.offset, found.depth.shape
     hole = hole[v : v + height, u : u + width]
     inside, around = binary_erosion(hole, iterations=10), ~binary_dilation(hole, iterations=10)

@@ -120,12 +120,16 @@ def test_what_only_an_unsupported_link_explains_keeps_some_weight() -> None:
     assert doubtful.weight[extra].min() > 0
 
 
-def test_a_small_segment_takes_every_pixel() -> None:
+def test_a_small_segment_is_taken_from_finer_clouds_down_to_every_pixel() -> None:
     scene = held_object("cuboid")
     sparse = segmented(scene, SOFT)
-    dense = segmented(scene, replace(SOFT, dense_below=len(sparse.points) + 1))
+    small = replace(SOFT, dense_below=len(sparse.points) + 1)
+    enough = 2 * len(sparse.points)
+    denser = segmented(scene, replace(small, dense_points=enough))
+    assert 0.9 * enough < len(denser.points) < 2.5 * enough
+    dense = segmented(scene, replace(small, dense_points=100_000))
     assert len(dense.points) > 3 * len(sparse.points)
-    assert (rows(dense.points, scene.observation.every_pixel.points) >= 0).all()
+    assert (rows(dense.points, scene.observation.cloud(step=1).points) >= 0).all()
     right = on_object(scene, dense.points)
     assert dense.weight[right].sum() > 0.95 * dense.weight.sum()
 

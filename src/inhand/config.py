@@ -219,7 +219,9 @@ class SegmentationConfig(Section):
     crease: NonNegative = 0.25
     """`soft`: and where it bends towards the camera by more than this from cell to cell [rad]."""
     dense_below: int = 400
-    """`soft`: a segment of fewer points is taken again from every pixel."""
+    """`soft`: a segment of fewer points is taken again from a finer scene cloud."""
+    dense_points: int = 800
+    """`soft`: which is to have about so many points in it, as far as there are pixels."""
     min_points: int = 20
     """Fewer object points than this: no answer."""
 

@@ -92,7 +92,7 @@ def masked_cloud(
     segmentation = config.segmentation
     cloud = _masked(Cloud(observation.points, observation.normals), observation, mask)
     if len(cloud.points) < segmentation.dense_below:
-        cloud = _masked(observation.every_pixel, observation, mask)
+        cloud = _masked(observation.cloud(step=1), observation, mask)
     if len(cloud.points) < segmentation.min_points:
         raise NoAnswer(f"only {len(cloud.points)} depth readings show the object")
     return cloud

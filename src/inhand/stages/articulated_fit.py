@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from inhand.kernels import gauss_newton as kernels
 from inhand.kernels import hand_terms
-from inhand.kernels.depth import pinhole
-from inhand.kernels.hand_fit import DepthView
 from inhand.kernels.kinematics import Twist
 from inhand.kernels.launch import launch, prepare
 from inhand.packed import PackedHand
@@ -38,16 +36,6 @@ class WristPrior:
     """[rad] per axis."""
     sd_translation: float
     """[m] per axis."""
-
-
-def depth_view(observation: Observation) -> Any:
-    """The observation as an argument of the hand kernels."""
-    view = DepthView()
-    view.camera = pinhole(observation.camera)
-    view.depth = observation.depth_on_device
-    view.normals = observation.normals_on_device
-    view.missing = observation.missing_on_device
-    return view
 
 
 class ArticulatedFit:
@@ -78,9 +66,8 @@ class ArticulatedFit:
         self.hand = hand
         self.point_information = point_information
         p = hand_terms.FitProblem()
-        p.view = depth_view(observation)
-        p.points = wp.array(observation.points, dtype=wp.vec3, device=device)
-        p.normals = wp.array(observation.normals, dtype=wp.vec3, device=device)
+        p.view = observation.view
+        p.points, p.normals = observation.points_on_device, observation.normals_on_device
         p.fields, p.spheres, p.chain = hand.fields, hand.spheres, hand.chain
         p.hand_points, p.hand_normals, p.hand_link = hand.points, hand.normals, hand.link
         p.lower, p.upper = hand.lower, hand.upper

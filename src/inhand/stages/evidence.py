@@ -13,7 +13,6 @@ from inhand.kernels.hand_fit import Visibility
 from inhand.kernels.launch import launch
 from inhand.kernels.object_fit import ObjectEvidence, score_poses
 from inhand.packed import PackedHand, PackedObject, device_poses
-from inhand.stages.articulated_fit import depth_view
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment
 
@@ -75,7 +74,7 @@ def gather_evidence(
     device = hand.device
     coarse = observation.camera.subsampled(config.hand_step)
     e = ObjectEvidence()
-    e.view = depth_view(observation)
+    e.view = observation.view
     # What the image does not support must not explain it.
     e.hand_depth = hand.render(coarse, hand_state.T_camera_link, hand_state.certain)
     e.hand_step = config.hand_step

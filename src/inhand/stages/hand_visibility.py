@@ -12,7 +12,6 @@ from inhand.kernels import hand_fit
 from inhand.kernels.hand_fit import Visibility, link_support, score_configurations
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, PackedPart, device_poses
-from inhand.stages.articulated_fit import depth_view
 from inhand.stages.observation import Observation
 
 Array = NDArray[np.float64]
@@ -29,7 +28,7 @@ class HandVisibility:
 
     def __init__(self, observation: Observation, hand: PackedHand, config: HandStateConfig) -> None:
         self._config = config
-        self._view = depth_view(observation)
+        self._view = observation.view
         self._noise = config.noise_tolerance * observation.noise
         coarse = observation.camera.subsampled(config.render_step)
         self._nothing = wp.zeros(coarse.width * coarse.height, dtype=float, device=hand.device)
@@ -106,7 +105,7 @@ def hand_support(
     launch(
         link_support,
         count,
-        [depth_view(observation), rule, device_poses(T_camera_link, device), hand.points]
+        [observation.view, rule, device_poses(T_camera_link, device), hand.points]
         + [hand.normals, start, config.fine_points, hand.fields, hand.spheres, hand.apart]
         + [depth, shown, config.render_step, sums],
         device,

@@ -14,6 +14,7 @@ from inhand.errors import NoAnswer
 from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
 from inhand.kernels.depth_image import fit_planes, missing_in_rows, missing_share
+from inhand.kernels.hand_fit import DepthView
 from inhand.kernels.launch import launch
 
 NEAREST = 1e-3
@@ -44,13 +45,8 @@ class Observation:
     """Pixel (u, v) of the whole image where the region of interest starts."""
     depth: NDArray[np.float32]
     """Depth of the region of interest [m], shape (h, w), 0 where there is no reading."""
-    depth_on_device: Any = field(repr=False)
-    """The same as a flat `wp.array` of float."""
-    normals_on_device: Any = field(repr=False)
-    """Normals of all its pixels, flat `wp.array` of vec3, 0 where unknown."""
-    missing_on_device: Any = field(repr=False)
-    """Share of missing readings, beyond what is usual around readings, around every pixel without
-    one, flat `wp.array`."""
+    view: Any = field(repr=False)
+    """The same on the device with what kernels ask of every pixel, `kernels.hand_fit.DepthView`."""
     smooth: NDArray[np.float32] = field(repr=False)
     """Depth of the surface estimated at every pixel [m], shape (h, w), 0 without a reading."""
     sphere: tuple[NDArray[np.float64], float]
@@ -67,10 +63,19 @@ class Observation:
     """Standard deviation of the depth readings [m], estimated from the image."""
 
     @cached_property
-    def every_pixel(self) -> Cloud:
-        """All points that the scene cloud is an even subset of."""
-        normals = self.normals_on_device.numpy().reshape(*self.smooth.shape, 3)
-        return _cloud(self.smooth, normals, self.camera, self.sphere, step=1)
+    def points_on_device(self) -> Any:
+        """The points of the scene cloud, `wp.array` of vec3."""
+        return wp.array(self.points, dtype=wp.vec3, device=self.view.depth.device)
+
+    @cached_property
+    def normals_on_device(self) -> Any:
+        """The normals of the scene cloud, `wp.array` of vec3."""
+        return wp.array(self.normals, dtype=wp.vec3, device=self.view.depth.device)
+
+    def cloud(self, step: int) -> Cloud:
+        """The scene cloud made of every `step`-th pixel, along either side."""
+        normals = self.view.normals.numpy().reshape(*self.smooth.shape, 3)
+        return _cloud(self.smooth, normals, self.camera, self.sphere, step)
 
 
 def observe(
@@ -112,10 +117,13 @@ def observe(
             f"only {count} depth readings lie in the region of the hand "
             f"(around {centre[2]:.2f} m); check the wrist pose, the depth unit and the sensor range"
         )
-    flat = wp.array(window.reshape(-1), dtype=float, device=device)
-    smooth_on_device, normals_on_device = _surfaces(flat, roi, far, config, device)
+    view = DepthView()
+    view.camera = pinhole(roi)
+    view.depth = wp.array(window.reshape(-1), dtype=float, device=device)
+    smooth_on_device, view.normals = _surfaces(view.camera, view.depth, far, config)
+    view.missing = _missing_share(view.camera, view.depth, config.missing_window)
     smooth = smooth_on_device.numpy().reshape(window.shape)
-    normals = normals_on_device.numpy().reshape(*window.shape, 3)
+    normals = view.normals.numpy().reshape(*window.shape, 3)
     distance = float((window * inside).sum()) / count
     step = max(1, round(config.point_spacing * roi.fx / distance))
     cloud = _cloud(smooth, normals, roi, (centre, radius), step)
@@ -125,9 +133,7 @@ def observe(
         camera=roi,
         offset=(u0, v0),
         depth=window,
-        depth_on_device=flat,
-        normals_on_device=normals_on_device,
-        missing_on_device=_missing_share(flat, roi, config.missing_window, device),
+        view=view,
         smooth=smooth,
         sphere=(centre, radius),
         points=cloud.points,
@@ -150,32 +156,32 @@ def _noise(depth: NDArray[np.float32], inside: NDArray[np.bool_], apart: int) ->
     return float(1.4826 / np.sqrt(6) * np.median(np.abs(bend))) if len(bend) else 0.0
 
 
-def _surfaces(
-    depth: Any, roi: Camera, far: float, config: ObservationConfig, device: str
-) -> tuple[Any, Any]:
+def _surfaces(camera: Any, depth: Any, far: float, config: ObservationConfig) -> tuple[Any, Any]:
     """Smoothed depth [m] and normals of a flat image on the device, 0 where there are none."""
+    device = str(depth.device)
     smooth = wp.empty(len(depth), dtype=float, device=device)
     normals = wp.empty(len(depth), dtype=wp.vec3, device=device)
     window = [config.normal_window, config.normal_gate, far]
-    inputs = [pinhole(roi), depth, *window, smooth, normals]
+    inputs = [camera, depth, *window, smooth, normals]
     launch(fit_planes, len(depth), inputs, device, work_per_item=25)
     return smooth, normals
 
 
-def _missing_share(depth: Any, roi: Camera, radius: int, device: str) -> Any:
+def _missing_share(camera: Any, depth: Any, radius: int) -> Any:
     """Share of missing readings around every pixel without one, flat, on the device.
 
     It counts from what is usual around pixels with a reading.
     """
+    device = str(depth.device)
     in_rows = wp.empty(len(depth), dtype=int, device=device)
     share = wp.empty(len(depth), dtype=float, device=device)
-    size = [roi.width, roi.height, radius]
+    size = [camera.width, camera.height, radius]
     rows = [depth, *size, in_rows]
-    launch(missing_in_rows, roi.height, rows, device, work_per_item=2 * roi.width)
+    launch(missing_in_rows, camera.height, rows, device, work_per_item=2 * camera.width)
     around, reading = in_rows.numpy()[::EVERY], depth.numpy()[::EVERY] > 0
     usual = float(np.median(around[reading])) / (2 * radius + 1)
     columns = [depth, in_rows, *size, usual, share]
-    launch(missing_share, roi.width, columns, device, work_per_item=2 * roi.height)
+    launch(missing_share, camera.width, columns, device, work_per_item=2 * camera.height)
     return share
 
 

@@ -92,8 +92,8 @@ class FingerCost:
         self.wrist, self.hand, self.config = wrist, hand, config
         device = hand.device
         self.scene = SceneCloud()
-        self.scene.points = wp.array(observation.points, dtype=wp.vec3, device=device)
-        self.scene.normals = wp.array(observation.normals, dtype=wp.vec3, device=device)
+        self.scene.points = observation.points_on_device
+        self.scene.normals = observation.normals_on_device
         self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=device)
         self._grid.build(self.scene.points, config.lcp_distance)
         self.scene.grid = self._grid.id

@@ -85,7 +85,7 @@ def _observed(
     """Every `step`-th observed depth [m], EMPTY where the camera saw nothing in reach, 0 where it
     is not known what it saw."""
     depth = observation.depth[::step, ::step].copy()
-    missing = observation.missing_on_device.numpy().reshape(observation.depth.shape)
+    missing = observation.view.missing.numpy().reshape(observation.depth.shape)
     depth[(depth <= 0) & (missing[::step, ::step] >= config.empty_share)] = EMPTY
     centre, radius = hand.hand.reach
     middle = transform(observation.T_camera_hand, centre[None])[0]

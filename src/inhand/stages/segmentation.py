@@ -1,5 +1,7 @@
 """Removal of the hand from the scene cloud; what remains is the object segment P_O."""
 
+import math
+
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -44,7 +46,9 @@ def segment_object(
         cloud = background.removed_from(cloud)
     segment = _segment(cloud, hand_state, hand, object_diameter, config)
     if soft and len(segment.points) < config.dense_below:
-        cloud = background.removed_from(observation.every_pixel)
+        share = len(segment.points) / config.dense_points
+        step = max(1, int(observation.step * math.sqrt(share)))
+        cloud = background.removed_from(observation.cloud(step))
         segment = _segment(cloud, hand_state, hand, object_diameter, config)
     if segment.weight.sum() < config.min_points:
         raise NoAnswer(

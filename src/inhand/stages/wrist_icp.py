@@ -36,8 +36,8 @@ def fit_wrist_icp(observation: Observation, hand: PackedHand, config: WristConfi
     pose = device_poses(observation.T_camera_hand, device)
     inputs = [
         model,
-        wp.array(observation.points, dtype=wp.vec3, device=device),
-        wp.array(observation.normals, dtype=wp.vec3, device=device),
+        observation.points_on_device,
+        observation.normals_on_device,
         config.max_distance,
         float(np.cos(config.max_normal_angle)),
         config.iterations,
