@@ -6,7 +6,8 @@ Each field is documented with its unit and meaning, and the paper's value where 
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from inhand.checks import finite_number, whole_number
@@ -474,6 +475,22 @@ class SelectionConfig(Section):
 
 
 @dataclass(frozen=True)
+class FirstLookConfig(Section):
+    """A quick search for the object, whose answer is taken if it is sure."""
+
+    enough: Share = 0.95
+    """An answer of this confidence is taken; 1: there is no first look."""
+    pairs: int = 100
+    """`HypothesesConfig.pairs` of it."""
+    hypotheses: int = 100
+    """`HypothesesConfig.keep` of it."""
+    clusters: int = 30
+    """`ClusteringConfig.keep` of it."""
+    refined: int = 12
+    """`RefinementConfig.keep` of it."""
+
+
+@dataclass(frozen=True)
 class SecondLookConfig(Section):
     """Trying other hands when the answer is unsure: what was taken for the object may be a finger
     that was missed."""
@@ -510,7 +527,19 @@ class EstimatorConfig(Section):
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     pruning: PruningConfig = field(default_factory=PruningConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
+    first_look: FirstLookConfig = field(default_factory=FirstLookConfig)
     second_look: SecondLookConfig = field(default_factory=SecondLookConfig)
+
+    @cached_property
+    def quick(self) -> "EstimatorConfig":
+        """The parameters of the first look."""
+        look = self.first_look
+        return replace(
+            self,
+            hypotheses=replace(self.hypotheses, pairs=look.pairs, keep=look.hypotheses),
+            clustering=replace(self.clustering, keep=look.clusters),
+            refinement=replace(self.refinement, keep=look.refined),
+        )
 
     @classmethod
     def paper(cls, seed: int = 0) -> "EstimatorConfig":
@@ -525,4 +554,6 @@ class EstimatorConfig(Section):
             refinement=RefinementConfig(method="icp", iterations=12, keep=100),
             pruning=PruningConfig(method="physics"),
             selection=SelectionConfig(method="render"),
+            first_look=FirstLookConfig(enough=1.0),
+            second_look=SecondLookConfig(below=0.0),
         )

@@ -20,7 +20,7 @@ from inhand.kernels.launch import on_all_cores, resolve_device
 from inhand.object_model import ObjectModel
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import cluster
-from inhand.stages.evidence import gather_evidence
+from inhand.stages.evidence import Evidence, gather_evidence
 from inhand.stages.hand_state import estimate_hand_state
 from inhand.stages.hypotheses import generate_hypotheses
 from inhand.stages.observation import Observation, observe
@@ -181,16 +181,34 @@ class PoseEstimator:
         rng: np.random.Generator,
     ) -> Iterator[StageResults]:
         """The stages that follow the hand's, as `_stages`."""
-        c, hand, obj = self.config, self.hand, self.object
-        diameter, r = obj.model.diameter, replace(r, hand_state=state)
-
+        c, hand, diameter = self.config, self.hand, self.object.model.diameter
         segment = clock.time(
             "segmentation", segment_object, observation, state, hand, diameter, c.segmentation
         )
         evidence = clock.time(
             "evidence", gather_evidence, observation, state, segment, hand, c.evidence
         )
-        yield (r := replace(r, segment=segment))
+        yield (r := replace(r, hand_state=state, segment=segment))
+
+        if c.first_look.enough < 1:
+            first = r
+            with suppress(NoAnswer):
+                for first in self._pose_stages(r, evidence, c.quick, clock, rng):
+                    yield first
+            if first.confidence >= c.first_look.enough:
+                return
+        yield from self._pose_stages(r, evidence, c, clock, rng)
+
+    def _pose_stages(
+        self,
+        r: StageResults,
+        evidence: Evidence,
+        c: EstimatorConfig,
+        clock: "Clock",
+        rng: np.random.Generator,
+    ) -> Iterator[StageResults]:
+        """The stages from hypotheses to selection, as `_stages`."""
+        hand, obj, state, segment = self.hand, self.object, r.hand_state, r.segment
 
         hypotheses = clock.time(
             "hypotheses", generate_hypotheses, segment, evidence, obj, c.hypotheses, rng
@@ -207,7 +225,7 @@ class PoseEstimator:
         yield (r := replace(r, pruned=pruned))
 
         selection = clock.time(
-            "selection", select, pruned, observation, state, segment, evidence, hand, obj,
+            "selection", select, pruned, r.observation, state, segment, evidence, hand, obj,
             c.selection,
         )  # fmt: skip
         yield replace(r, selection=selection)
