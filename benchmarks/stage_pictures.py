@@ -20,7 +20,8 @@ import inhand
 from inhand.config import FirstLookConfig
 from inhand.estimate import PoseEstimate
 from inhand.estimator import StageResults
-from inhand.evaluation.metrics import ObjectMetric, angle_errors, wrist_error
+from inhand.evaluation.hand_errors import angle_errors, wrist_error
+from inhand.evaluation.metrics import ObjectMetric
 from inhand.kernels.depth import DepthRenderer
 from inhand.overlay import (
     HAND_COLOUR,
