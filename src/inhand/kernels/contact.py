@@ -86,8 +86,13 @@ def configuration_clearances(
     inverse = wp.transpose(T)
     origin = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     links = (i % n_configurations) * n_links
+    middle = 0.5 * (fields.low[0] + fields.high[0])
+    radius = wp.length(fields.high[0] - middle)
     nearest = farthest
     for k in range(n_points):
         p = wp.transform_point(T_camera_link[links + link[k]], points[k])
-        nearest = wp.min(nearest, field_at(fields, 0, wp.transform_vector(inverse, p - origin))[0])
+        local = wp.transform_vector(inverse, p - origin)
+        bound = radius + wp.max(nearest, 0.0)
+        if wp.length_sq(local - middle) < bound * bound:
+            nearest = wp.min(nearest, field_at(fields, 0, local)[0])
     clearance[i] = nearest
