@@ -117,9 +117,9 @@ class ObjectTrackConfig(Section):
     unseen_agility: NonNegative = 0.3
     """And in every direction this times the root mean square of all: what the image shows to move
     may move where it does not show it as well."""
-    hidden_motion: float = 0.01
+    hidden_motion: float = 0.02
     """Sd of how an object moves that was not seen in the last image [m/sqrt(s)]."""
-    hidden_turn: float = 0.3
+    hidden_turn: float = 0.6
     """Sd of how it turns [rad/sqrt(s)]."""
     lever: float = 0.03
     """Motion that counts as one radian of turning there [m/rad]."""
