@@ -144,9 +144,9 @@ class RestConfig(Section):
     settling: int = 4
     """Images after a search or a loss in which an answer follows the estimate at once."""
     doubt: NonNegative = 1.0
-    """The answer stays while the estimate is this many standard deviations away ..."""
+    """The answer stays while the estimate is within so many standard deviations, each less ..."""
     least_doubt: NonNegative = 0.0005
-    """... beyond this [m]."""
+    """... this [m]: where the image says more, the answer is the estimate."""
     closing: Share = 0.2
     """Share of the difference that is left after each image with motion."""
 
