@@ -173,12 +173,28 @@ class LossConfig(Section):
     accept: Share = 0.6
     """A tracker that is lost takes a pose of this confidence or more; of a search, only if it
     agrees with where the object was expected or where the last image's search had it."""
-    sure: Share = 0.8
+    sure: Share = 0.95
     """While there is no track to agree with, one search of this confidence is enough."""
     right: float = 0.005
     """A pose is right if the object's surface is off by less than this, root mean square [m]."""
     same: float = 0.004
     """Poses whose surfaces are nearer than this on average agree [m]."""
+
+
+@dataclass(frozen=True)
+class RivalConfig(Section):
+    """Other poses that a search found likely; see `tracking.rivals`."""
+
+    most: int = 3
+    """Of these, so many at most are followed."""
+    most_behind: NonNegative = 0.2
+    """A pose whose score is behind by more is none."""
+    apart: float = 0.004
+    """Poses whose surfaces are nearer than this on average are one [m]."""
+    memory: Share = 0.7
+    """Weight of earlier images in how far a rival leads."""
+    overtakes: NonNegative = 0.03
+    """A rival that leads by more takes the answer's place."""
 
 
 @dataclass(frozen=True)
@@ -194,6 +210,7 @@ class TrackerConfig(Section):
     hand: HandTrackConfig = field(default_factory=HandTrackConfig)
     fingers: FingerSearchConfig = field(default_factory=FingerSearchConfig)
     object: ObjectTrackConfig = field(default_factory=ObjectTrackConfig)
+    rivals: RivalConfig = field(default_factory=RivalConfig)
     rest: RestConfig = field(default_factory=RestConfig)
     loss: LossConfig = field(default_factory=LossConfig)
 

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from inhand.errors import NoAnswer
+from inhand.geometry import se3
 from inhand.kernels.hand_terms import TERMS
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, PackedObject, device_poses
@@ -17,6 +18,7 @@ from inhand.stages.results import HandState, Segment
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, moved, system_of, twist_between
 from inhand.tracking.kernels import object_terms, object_weights
+from inhand.tracking.rivals import Rival, told_apart
 from inhand.tracking.track import Track, start_covariance
 
 BLOCKS = 8
@@ -38,6 +40,8 @@ class FollowedObject:
     """Its covariance if nothing moved, shape (6, 6)."""
     score: float
     """Score of the pose, as in the estimator's selection."""
+    rivals: tuple[Rival, ...]
+    """What else it may be, as of this image."""
 
     def kept_in(self, track: Track, confidence: float, config: TrackerConfig) -> Track:
         """The track with the object here, right with this probability."""
@@ -52,6 +56,7 @@ class FollowedObject:
             + (1 - keep) ** 2 * self.innovation_covariance,
             images=track.images + 1,
             confidence=confidence,
+            rivals=self.rivals,
         )
 
 
@@ -101,7 +106,8 @@ def follow_object(
 ) -> FollowedObject:
     """Refine and score two starts; hold the better to the prediction as firmly as that is known.
 
-    The object starts where it is expected, and where it would be if it went on as of late.
+    The object starts where it is expected, and where it would be if it went on as of late. Its
+    rivals are refined beside it; one that has become better is followed in its place.
 
     Args:
         evidence: the image.
@@ -112,13 +118,18 @@ def follow_object(
     c, centre = config.object, obj.model.centre
     widths = c.first_width, c.last_width
     expected = track.T_camera_object
-    starts = np.stack([expected, moved(expected, track.motion, centre)])
+    rivals = [expected @ rival.T_object_rival for rival in track.rivals]
+    starts = np.stack([expected, moved(expected, track.motion, centre), *rivals])
     fitted = fit_to_field(
         evidence, obj, c.image_weight, starts.astype(np.float32), c.points, c.iterations, widths
-    )
+    ).astype(np.float64)
     score = score_with_contact(evidence, obj, fitted, config.estimator.selection)
-    best = int(np.argmax(score + [c.start_lead, 0.0]))
-    T = fitted[best].astype(np.float64)
+    best = int(np.argmax(score[:2] + [c.start_lead, 0.0]))
+    T = fitted[best]
+    left = told_apart(track.rivals, T, fitted[2:], score[2:] - score[best], config.rivals)
+    ahead = max(left, key=lambda rival: rival.lead, default=None)
+    if ahead is not None and ahead.lead > config.rivals.overtakes:
+        return follow_object(evidence, obj, _overtaken(track, T, ahead, left, config), config)
     A, b = _system(evidence, obj, T, config)
     seen = c.point_information * A
     innovation = twist_between(expected, T, centre)
@@ -138,6 +149,24 @@ def follow_object(
         innovation=innovation,
         innovation_covariance=track.object_covariance + of_image,
         score=float(score[best]),
+        rivals=left,
+    )
+
+
+def _overtaken(
+    track: Track, T: Array, ahead: Rival, rivals: tuple[Rival, ...], config: TrackerConfig
+) -> Track:
+    """The track with a rival in the place of the pose T, which is a rival from now on."""
+    there = se3.inverse(ahead.T_object_rival)
+    behind = [Rival(np.eye(4), 0.0), *(rival for rival in rivals if rival is not ahead)]
+    start = start_covariance(config)
+    return replace(
+        track,
+        T_camera_object=T @ ahead.T_object_rival,
+        object_covariance=start,
+        lasting=config.start.lasting * np.sqrt(start),
+        motion=np.zeros(6),
+        rivals=tuple(Rival(there @ r.T_object_rival, r.lead - ahead.lead) for r in behind),
     )
 
 

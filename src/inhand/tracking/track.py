@@ -12,6 +12,7 @@ from inhand.kinematics import PRISMATIC
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, carried, twist_between
 from inhand.tracking.loss import expected_confidence
+from inhand.tracking.rivals import Rival
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,8 @@ class Track:
     """In how many images the object was followed without a break."""
     confidence: float
     """Probability that the object's pose is not another altogether."""
+    rivals: tuple[Rival, ...] = ()
+    """Other poses that the images have not told from this one yet."""
 
     @property
     def whole_covariance(self) -> Array:

@@ -25,6 +25,7 @@ from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
 from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
 from inhand.tracking.rest import with_answer
+from inhand.tracking.rivals import rivals_of
 from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
@@ -177,7 +178,8 @@ class PoseTracker:
         if not self._confirmed(estimate, before):
             return self._no_answer("no second image agrees yet on where the object is", clock)
         self._lost = False
-        self._track = self._resumed(estimate, given)
+        rivals = rivals_of(estimate, self._object, self.config.rivals)
+        self._track = replace(self._resumed(estimate, given), rivals=rivals)
         T, covariance = self._track.answer, self._covariance()
         return replace(estimate, T_camera_object=T, timings=clock.seconds, covariance=covariance)
 

@@ -1,0 +1,67 @@
+"""Poses that a search could hardly tell from its answer.
+
+They are followed as well, until the images have told them apart.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from inhand.estimate import PoseEstimate
+from inhand.geometry import se3
+from inhand.packed import PackedObject
+from inhand.stages.clustering import surface_distances_to
+from inhand.tracking.config import RivalConfig
+from inhand.tracking.gaussian import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """Another pose of the object."""
+
+    T_object_rival: Array
+    """Where it is from the pose that is followed, shape (4, 4)."""
+    lead: float
+    """By how much it scored better of late, less than 0 if it scored worse."""
+
+
+def rivals_of(estimate: PoseEstimate, obj: PackedObject, config: RivalConfig) -> tuple[Rival, ...]:
+    """The other poses that scored nearly as well as a search's answer, each surface but once.
+
+    Args:
+        estimate: the answer, found.
+        obj: the object.
+        config: parameters.
+    """
+    poses = np.array([c.T_camera_object for c in estimate.candidates], dtype=np.float32)
+    leads = [
+        c.scores["score"] - estimate.candidates[0].scores["score"] for c in estimate.candidates
+    ]
+    chosen = [0]
+    for i, lead in enumerate(leads):
+        near = surface_distances_to(poses[chosen], poses[i], obj, 2 * config.apart)
+        if lead > -config.most_behind and near.min() > config.apart and len(chosen) <= config.most:
+            chosen.append(i)
+    back = se3.inverse(poses[0].astype(np.float64))
+    return tuple(Rival(back @ poses[i].astype(np.float64), leads[i]) for i in chosen[1:])
+
+
+def told_apart(
+    rivals: tuple[Rival, ...], T: Array, fitted: Array, leads: Array, config: RivalConfig
+) -> tuple[Rival, ...]:
+    """The rivals after an image, without those that it leaves too far behind.
+
+    Args:
+        rivals: the rivals before it.
+        T: the pose that is followed in it, shape (4, 4).
+        fitted: the rivals' poses in it, shape (r, 4, 4).
+        leads: by how much each of them scores better, shape (r,).
+        config: parameters.
+    """
+    back = se3.inverse(T)
+    keep = config.memory
+    known = (
+        Rival(back @ there, keep * rival.lead + (1 - keep) * float(lead))
+        for rival, there, lead in zip(rivals, fitted, leads, strict=True)
+    )
+    return tuple(rival for rival in known if rival.lead > -config.most_behind)

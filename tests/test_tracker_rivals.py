@@ -1,0 +1,91 @@
+"""Other poses that a search could hardly tell from its answer."""
+
+from dataclasses import replace
+
+import numpy as np
+from held_object import HeldObject, held_object
+from test_tracker_parts import CONFIG, SURE, follow_found, track_of
+
+from inhand.estimate import Candidate, PoseEstimate
+from inhand.geometry import se3
+from inhand.geometry.se3 import exp
+from inhand.tracking.rivals import Rival, rivals_of, told_apart
+
+RULE = CONFIG.rivals
+TURNED = exp(np.array([np.pi / 2, 0, 0, 0, 0, 0]))
+SHIFTED = exp(np.array([0, 0, 0, 0.01, 0, 0]))
+
+
+def answer_of(held: HeldObject, others: list[tuple[np.ndarray, float]]) -> PoseEstimate:
+    """An answer with these candidates after the true pose, given from there, and their scores."""
+    T = held.T_camera_object
+    poses = [(T, 1.5), *((T @ other, score) for other, score in others)]
+    return PoseEstimate(
+        found=True,
+        reason="",
+        T_camera_object=T,
+        joint_positions={},
+        T_camera_hand=held.hand_state.T_camera_hand,
+        confidence=0.9,
+        candidates=tuple(Candidate(pose, {"score": score}) for pose, score in poses),
+        timings={},
+    )
+
+
+def test_rivals_are_elsewhere_and_nearly_as_good() -> None:
+    held = held_object("cuboid")
+    nudged = exp(np.array([0, 0, 0, 0.001, 0, 0]))
+    others = [(nudged, 1.49), (TURNED, 1.45), (TURNED @ nudged, 1.44), (SHIFTED, 1.2)]
+    (rival,) = rivals_of(answer_of(held, others), held.obj, RULE)
+    np.testing.assert_allclose(rival.T_object_rival, TURNED, atol=1e-6)
+    np.testing.assert_allclose(rival.lead, -0.05, atol=1e-9)
+
+
+def test_a_turn_that_does_not_show_is_no_rival() -> None:
+    held = held_object("cylinder")
+    turns = [exp(np.array([0, 0, angle, 0, 0, 0])) for angle in (0.5, 1.0, 2.0)]
+    others = [(turn, 1.5) for turn in turns]
+    assert rivals_of(answer_of(held, others), held.obj, RULE) == ()
+
+
+def test_there_are_a_few_at_most() -> None:
+    held = held_object("cuboid")
+    others = [(exp(np.array([0, 0, 0, 0, 0, 0.01 * k])), 1.5) for k in range(1, 8)]
+    assert len(rivals_of(answer_of(held, others), held.obj, RULE)) == RULE.most
+
+
+def test_images_tell_rivals_apart() -> None:
+    T, rivals = np.eye(4), (Rival(TURNED, 0.0), Rival(SHIFTED, 0.0))
+    fitted = np.stack([TURNED, SHIFTED])
+    for _ in range(30):
+        rivals = told_apart(rivals, T, fitted[: len(rivals)], np.array([-0.1, -1.0]), RULE)
+        if len(rivals) == 1:
+            break
+    (left,) = rivals
+    np.testing.assert_array_equal(left.T_object_rival, TURNED)
+    for _ in range(30):
+        (left,) = told_apart((left,), T, TURNED[None], np.array([-0.1]), RULE)
+    np.testing.assert_allclose(left.lead, -0.1, atol=1e-4)
+
+
+def test_a_rival_that_is_right_takes_over() -> None:
+    held = held_object("cuboid")
+    wrong = held.T_camera_object @ TURNED
+    right = Rival(se3.inverse(TURNED), 0.0)
+    track = replace(track_of(held, SURE), T_camera_object=wrong, answer=wrong, rivals=(right,))
+    alone = follow_found(held, replace(track, rivals=()))
+    assert np.abs(alone.T_camera_object - held.T_camera_object).max() > 0.1
+    for _ in range(5):
+        found = follow_found(held, track)
+        track = found.kept_in(track, 0.9, CONFIG)
+    np.testing.assert_allclose(track.T_camera_object, held.T_camera_object, atol=0.02)
+    assert all(rival.lead < 0 for rival in track.rivals)
+
+
+def test_a_rival_that_is_wrong_is_dropped() -> None:
+    held = held_object("cuboid")
+    track = replace(track_of(held, SURE), rivals=(Rival(TURNED, 0.0),))
+    for _ in range(10):
+        track = follow_found(held, track).kept_in(track, 0.9, CONFIG)
+    assert track.rivals == ()
+    np.testing.assert_allclose(track.T_camera_object, held.T_camera_object, atol=0.02)
