@@ -3,8 +3,7 @@
 import warp as wp
 
 from inhand.kernels.fields import Fields, field_at
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import to_local
 
 
 @wp.func
@@ -35,11 +34,11 @@ def nearest_body(
             continue
         T = T_world_body[first_pose + body]
         s = spheres[body]
-        offset = p - wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
+        offset = p - wp.transform_point(T, s[:3])
         bound = s[3] + wp.max(best, 0.0)
         if wp.dot(offset, offset) > bound * bound:
             continue
-        local = wp.transform_vector(wp.transpose(T), p - wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+        local = to_local(T, p)
         outside = wp.max(fields.low[body] - local, local - fields.high[body])
         if wp.max(outside) > wp.max(best, 0.0):
             continue
@@ -47,5 +46,5 @@ def nearest_body(
         if value[0] < best:
             best = value[0]
             nearest = body
-            gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+            gradient = wp.transform_vector(T, value[1:4])
     return best, gradient, nearest

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from inhand.kernels.launch import launch
 
-wp.set_module_options({"enable_backward": False})
-
 DEVICE = "cpu"
 
 

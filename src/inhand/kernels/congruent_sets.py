@@ -10,8 +10,6 @@ import warp as wp
 
 from inhand.kernels.pair_matching import PairTable, angle_between
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
 def pair_feature(p: wp.vec3, n_p: wp.vec3, q: wp.vec3, n_q: wp.vec3):

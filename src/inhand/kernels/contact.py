@@ -3,20 +3,7 @@
 import warp as wp
 
 from inhand.kernels.fields import Fields, field_at
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def rigid_inverse(T: wp.mat44):
-    """Inverse of a rigid transform."""
-    t = wp.transform_vector(wp.transpose(T), wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
-    return wp.mat44(
-        T[0, 0], T[1, 0], T[2, 0], -t[0],
-        T[0, 1], T[1, 1], T[2, 1], -t[1],
-        T[0, 2], T[1, 2], T[2, 2], -t[2],
-        0.0, 0.0, 0.0, 1.0,
-    )  # fmt: skip
+from inhand.kernels.transforms import rigid, to_local
 
 
 @wp.kernel
@@ -43,10 +30,13 @@ def link_clearances(
     i = first + wp.tid()
     n_links = spheres.shape[0]
     link = i % n_links
-    T = rigid_inverse(T_camera_link[link]) * T_camera_object[i // n_links]
+    T_object = T_camera_object[i // n_links]
+    T_link = T_camera_link[link]
+    inverse = wp.transpose(T_link[:3, :3])
+    T = rigid(inverse @ T_object[:3, :3], to_local(T_link, T_object[:3, 3]))
     s = spheres[link]
     # The sphere goes to the points: most of them need no transform then.
-    centre = wp.transform_point(rigid_inverse(T), wp.vec3(s[0], s[1], s[2]))
+    centre = to_local(T, s[:3])
     nearest = farthest
     for k in range(n_points):
         offset = points[k] - centre
@@ -83,11 +73,9 @@ def configuration_clearances(
     """
     i = first + wp.tid()
     T = T_camera_object[i // n_configurations]
-    inverse = wp.transpose(T)
-    origin = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     links = (i % n_configurations) * n_links
     nearest = farthest
     for k in range(n_points):
         p = wp.transform_point(T_camera_link[links + link[k]], points[k])
-        nearest = wp.min(nearest, field_at(fields, 0, wp.transform_vector(inverse, p - origin))[0])
+        nearest = wp.min(nearest, field_at(fields, 0, to_local(T, p))[0])
     clearance[i] = nearest

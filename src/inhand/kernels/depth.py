@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from inhand.camera import Camera
 from inhand.geometry.mesh import TriangleMesh
 from inhand.kernels.launch import launch
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import to_local
 
 
 @wp.struct
@@ -58,16 +57,15 @@ def cast_rays(
     for m in range(mesh_ids.shape[0]):
         T = T_camera_mesh[m]
         s = spheres[m]
-        centre = wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
+        centre = wp.transform_point(T, s[:3])
         along = wp.dot(centre, ray) / ray_squared
         miss = centre - along * ray
         if wp.dot(miss, miss) > s[3] * s[3]:
             continue
         if along - s[3] > nearest:
             continue
-        inverse = wp.transpose(T)
-        direction = wp.transform_vector(inverse, ray)
-        origin = -wp.transform_vector(inverse, wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+        direction = wp.transform_vector(wp.transpose(T), ray)
+        origin = to_local(T, wp.vec3())
         # The ray has unit z, so the parameter of the hit is its depth. The direction must be
         # normalised for the query.
         length = wp.sqrt(ray_squared)

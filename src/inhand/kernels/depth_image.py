@@ -4,8 +4,6 @@ import warp as wp
 
 from inhand.kernels.depth import Pinhole
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def fit_planes(

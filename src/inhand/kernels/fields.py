@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from inhand.geometry.distance_field import DistanceField
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Fields:

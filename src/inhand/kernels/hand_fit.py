@@ -6,8 +6,6 @@ from inhand.kernels.bodies import nearest_body
 from inhand.kernels.depth import Pinhole
 from inhand.kernels.fields import Fields
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class DepthView:
@@ -204,6 +202,22 @@ def redescending(r: float, width: float):
     if x * x >= 1.0:
         return 0.0
     return (1.0 - x * x) * (1.0 - x * x)
+
+
+@wp.func
+def sample_residual(view: DepthView, p: wp.vec3, n: wp.vec3, width: float):
+    """Distance [m] of a posed surface sample to the plane of the reading on its ray, its weight,
+    which is 0 where the image does not show the sample, and the pixel."""
+    facing = -wp.dot(n, p) / wp.length(p)
+    pixel = pixel_of(view.camera, p)
+    if facing < 0.15 or pixel < 0:
+        return 0.0, 0.0, pixel
+    d = view.depth[pixel]
+    if d <= 0.0 or wp.abs(d - p[2]) > width:
+        return 0.0, 0.0, pixel
+    r = (d / p[2] - 1.0) * wp.dot(n, p)
+    w = facing * redescending(r, width) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
+    return r, w, pixel
 
 
 @wp.kernel

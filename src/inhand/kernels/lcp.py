@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields, field_at
 from inhand.kernels.launch import launch
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import to_local
 
 
 @wp.kernel
@@ -27,15 +26,12 @@ def count_points_on_model(
     """One work item a pose: share of the points that lie on the model with agreeing normals."""
     i = first + wp.tid()
     T = T_camera_model[i]
-    inverse = wp.transpose(T)
-    origin = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     count = int(0)
     for k in range(points.shape[0]):
-        value = field_at(fields, 0, wp.transform_vector(inverse, points[k] - origin))
-        if wp.abs(value[0]) < distance:
-            normal = wp.transform_vector(inverse, normals[k])
-            if wp.dot(normal, wp.vec3(value[1], value[2], value[3])) > cosine:
-                count += 1
+        value = field_at(fields, 0, to_local(T, points[k]))
+        agrees = wp.dot(normals[k], wp.transform_vector(T, value[1:4])) > cosine
+        if agrees and wp.abs(value[0]) < distance:
+            count += 1
     share[i] = float(count) / float(points.shape[0])
 
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from inhand.kernels.launch import launch
 
-wp.set_module_options({"enable_backward": False})
-
 DEVICE = "cpu"
 DIRECTIONS = 32
 """Rays over the half space in front of a surface point."""

@@ -20,6 +20,7 @@ from inhand.kernels import gauss_newton as kernels
 from inhand.kernels import hand_terms
 from inhand.kernels.kinematics import Twist
 from inhand.kernels.launch import launch, prepare
+from inhand.kernels.normal_equations import Matrix6, Vector6
 from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
 
@@ -122,7 +123,8 @@ class ArticulatedFit:
         state.iteration = wp.zeros(starts, dtype=int, device=device)
         state.T_camera_joint = empty((starts, joints), dtype=wp.mat44d)
         state.T_camera_link = empty(starts * links, dtype=wp.mat44)
-        state.terms = empty(starts * links * hand_terms.TERMS, dtype=float)
+        state.A = empty((starts, links), dtype=Matrix6)
+        state.b = empty((starts, links), dtype=Vector6)
         state.twists = empty((starts, joints), dtype=Twist)
         state.H = empty((starts, parameters, parameters), dtype=wp.float64)
         state.g = empty((starts, parameters), dtype=wp.float64)

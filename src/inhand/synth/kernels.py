@@ -5,8 +5,6 @@ import warp as wp
 from inhand.kernels.depth import Pinhole
 from inhand.kernels.fields import Fields, field_at
 
-wp.set_module_options({"enable_backward": False})
-
 AMBIENT = wp.constant(0.25)
 """Share of its colour that a surface shows without any lamp; the shares add up to 1."""
 HEADLIGHT = wp.constant(0.35)
