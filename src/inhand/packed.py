@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
+import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
@@ -15,6 +16,7 @@ from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.kinematics import Chain, pose_links
 from inhand.kernels.launch import launch
+from inhand.kernels.pair_matching import PairTable
 from inhand.kinematics import KinematicArrays
 from inhand.object_model import ObjectModel
 
@@ -69,10 +71,7 @@ class PackedHand:
         apart = (part[:, None] != part).astype(np.int32)
         self.apart = wp.array(apart.reshape(-1), dtype=int, device=device)
         self._no_image = wp.empty(0, dtype=int, device=device)
-        boxes = np.stack([link.mesh.bounds for link in hand.links])
-        self.corners = np.stack(
-            [boxes[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1
-        )
+        self.corners = np.stack([trimesh.bounds.corners(link.mesh.bounds) for link in hand.links])
         self.whole = PackedPart(hand, range(len(hand.links)), device)
         self.fingers = [PackedPart(hand, finger.links, device) for finger in hand.fingers]
 
@@ -189,7 +188,7 @@ class PackedObject:
         device: Warp device name.
         fields: its distance field, `kernels.fields.Fields` with one body.
         points, normals: surface samples in progressive order, object frame, `wp.vec3`.
-        cell_start, pair_first, pair_second: the pair table, int.
+        pairs: the pair table, `kernels.pair_matching.PairTable`.
         renderer: ray caster of the object.
     """
 
@@ -199,27 +198,21 @@ class PackedObject:
         self.fields = pack_fields([model.distance_field], device)
         self.points = wp.array(model.surface.points, dtype=wp.vec3, device=device)
         self.normals = wp.array(model.surface.normals, dtype=wp.vec3, device=device)
-        self.cell_start = wp.array(model.pairs.cell_start, dtype=int, device=device)
-        self.pair_first = wp.array(model.pairs.pair_first, dtype=int, device=device)
-        self.pair_second = wp.array(model.pairs.pair_second, dtype=int, device=device)
+        self.pairs = pairs = PairTable()
+        pairs.points, pairs.normals = self.points, self.normals
+        for name in ("cell_start", "pair_first", "pair_second"):
+            setattr(pairs, name, wp.array(getattr(model.pairs, name), dtype=int, device=device))
+        pairs.distance_step = model.pairs.distance_step
+        pairs.n_distance, pairs.n_angle = model.pairs.n_distance, model.pairs.n_angle
         self.renderer = DepthRenderer([model.mesh], device)
 
 
 def pack_chain(arrays: KinematicArrays, device: str) -> Any:
     """The kinematics of a hand, or of a part of it, as a kernel argument."""
     chain = Chain()
-    for name, dtype in (
-        ("parent", int),
-        ("T_parent_joint", wp.mat44d),
-        ("axis", wp.vec3d),
-        ("kind", int),
-        ("source", int),
-        ("multiplier", wp.float64),
-        ("offset", wp.float64),
-        ("link_joint", int),
-        ("T_joint_link", wp.mat44d),
-    ):
-        setattr(chain, name, wp.array(getattr(arrays, name), dtype=dtype, device=device))
+    members = get_type_hints(Chain.cls)  # type: ignore[attr-defined]  # of the Warp struct
+    for name, kind in members.items():
+        setattr(chain, name, wp.array(getattr(arrays, name), dtype=kind.dtype, device=device))
     return chain
 
 

@@ -19,7 +19,6 @@ from inhand.kernels.congruent_sets import (
 )
 from inhand.kernels.launch import launch
 from inhand.kernels.lcp import pose_lcp
-from inhand.kernels.pair_matching import PairTable
 from inhand.packed import PackedObject
 from inhand.stages.results import PoseSet, Segment
 
@@ -87,13 +86,7 @@ class CongruentSetSearch:
         self.points = wp.array(segment.points, dtype=wp.vec3, device=obj.device)
         self.normals = wp.array(segment.normals, dtype=wp.vec3, device=obj.device)
         self.diameter = obj.model.diameter
-        self.model = PairTable()
-        self.model.points, self.model.normals = obj.points, obj.normals
-        self.model.cell_start = obj.cell_start
-        self.model.pair_first, self.model.pair_second = obj.pair_first, obj.pair_second
-        self.model.distance_step = obj.model.pairs.distance_step
-        self.model.n_distance = obj.model.pairs.n_distance
-        self.model.n_angle = obj.model.pairs.n_angle
+        self.model = obj.pairs
 
     def sample_bases(self, rng: np.random.Generator) -> Bases:
         """Bases by Alg. 2; those that found no fourth point are left out."""
