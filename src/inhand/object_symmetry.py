@@ -23,9 +23,8 @@ from inhand.errors import InputError
 from inhand.geometry import se3
 from inhand.geometry.mesh import TriangleMesh
 from inhand.geometry.sampling import SurfaceSamples
+from inhand.geometry.se3 import Array
 from inhand.kernels import mesh_queries
-
-Array = NDArray[np.float64]
 
 MEAN_TOLERANCE = 0.006
 """Largest mean distance of the rotated samples from the surface, relative to the diameter."""

@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from inhand.geometry.se3 import Array
 from inhand.kernels import gauss_newton as kernels
 from inhand.kernels import hand_terms
 from inhand.kernels.kinematics import Twist
@@ -23,8 +24,6 @@ from inhand.kernels.launch import launch, prepare
 from inhand.kernels.normal_equations import Matrix6, Vector6
 from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

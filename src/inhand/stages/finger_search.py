@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from inhand.config import HandStateConfig
+from inhand.geometry.se3 import Array
 from inhand.kinematics import PRISMATIC
 from inhand.packed import PackedHand, PackedPart
 from inhand.stages.hand_visibility import HandVisibility
 from inhand.stages.observation import Observation
 from inhand.stages.results import Configurations
-
-Array = NDArray[np.float64]
 
 
 class FingerSearch:

@@ -95,22 +95,10 @@ def _match(
     seed: int,
 ) -> Any:
     """Poses from the pair table on the device; empty draws are zero matrices."""
-    device = obj.device
-    poses = wp.empty(len(a) * config.matches, dtype=wp.mat44, device=device)
-    launch(
-        match_pairs,
-        len(a),
-        [
-            wp.array(segment.points, dtype=wp.vec3, device=device),
-            wp.array(segment.normals, dtype=wp.vec3, device=device),
-            wp.array(a, dtype=int, device=device),
-            wp.array(b, dtype=int, device=device),
-            obj.pairs,
-            config.matches,
-            seed,
-            poses,
-        ],
-        device,
-        work_per_item=10 * config.matches,
-    )
+    device, matches = obj.device, config.matches
+    poses = wp.empty(len(a) * matches, dtype=wp.mat44, device=device)
+    inputs = [wp.array(x, dtype=wp.vec3, device=device) for x in (segment.points, segment.normals)]
+    inputs += [wp.array(pair, dtype=int, device=device) for pair in (a, b)]
+    inputs += [obj.pairs, matches, seed, poses]
+    launch(match_pairs, len(a), inputs, device, work_per_item=10 * matches)
     return poses

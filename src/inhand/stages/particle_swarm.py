@@ -10,6 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import HandStateConfig
+from inhand.geometry.se3 import Array
 from inhand.hand import Finger
 from inhand.kernels.launch import launch
 from inhand.kernels.lcp import SceneCloud, match_finger_points
@@ -17,7 +18,6 @@ from inhand.packed import PackedHand, device_poses
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Wrist
 
-Array = NDArray[np.float64]
 GRID_CELLS = 64
 
 

@@ -5,6 +5,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import EstimatorConfig, SecondLookConfig
+from inhand.geometry.se3 import Array
 from inhand.kernels.hand_fit import explained_weights
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, device_poses
@@ -12,8 +13,6 @@ from inhand.stages.articulated_fit import ArticulatedFit
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment
 from inhand.stages.wrist import wrist_prior
-
-Array = NDArray[np.float64]
 
 
 def hands_in_segment(
