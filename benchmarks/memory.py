@@ -21,7 +21,13 @@ from pathlib import Path
 import numpy as np
 
 from inhand import EstimatorConfig, InputError, PoseEstimator
-from inhand.config import ClusteringConfig, HandStateConfig, HypothesesConfig, RefinementConfig
+from inhand.config import (
+    ClusteringConfig,
+    FirstLookConfig,
+    HandStateConfig,
+    HypothesesConfig,
+    RefinementConfig,
+)
 from inhand.synth.demo import regression_scenes
 
 LIMIT = 16 * 2**20
@@ -35,6 +41,7 @@ SMALL = replace(
     hypotheses=HypothesesConfig(pairs=80, matches=8),
     clustering=ClusteringConfig(keep=10),
     refinement=RefinementConfig(iterations=3, keep=10),
+    first_look=FirstLookConfig(pairs=20, clusters=5, refined=5),
 )
 """The default method with less of everything."""
 

@@ -7,6 +7,7 @@ The scene is fixed and the estimator repeatable, so the pictures only change whe
 
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +17,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import inhand
+from inhand.config import FirstLookConfig
 from inhand.estimate import PoseEstimate
 from inhand.estimator import StageResults
-from inhand.evaluation.metrics import ObjectMetric, angle_errors, wrist_error
+from inhand.evaluation.hand_errors import angle_errors, wrist_error
+from inhand.evaluation.metrics import ObjectMetric
 from inhand.kernels.depth import DepthRenderer
 from inhand.overlay import (
     HAND_COLOUR,
@@ -73,7 +76,7 @@ class Pictures:
     def region(self) -> list[Panel]:
         """Where the hand may be in the whole image, and the normals of the surfaces there."""
         seen = self._stages.observation
-        cloud = seen.every_pixel
+        cloud = seen.cloud(step=1)
         v, u = self._rows_and_columns(cloud.points)
         whole = grey_depth(self._scene.depth) // 2
         whole[v, u] = grey_depth(self._scene.depth)[v, u]
@@ -230,7 +233,8 @@ def save(path: Path, panels: Iterable[Panel]) -> None:
 def main(folder: Path) -> None:
     """Draw all pictures into `folder`."""
     scene = demo_scene()
-    estimator = inhand.PoseEstimator(scene.hand, scene.obj, device="cpu")
+    whole_search = replace(inhand.EstimatorConfig(), first_look=FirstLookConfig(enough=1.0))
+    estimator = inhand.PoseEstimator(scene.hand, scene.obj, whole_search, device="cpu")
     estimate, stages = estimator.run(scene.depth, scene.camera, scene.T_camera_hand_given)
     draw = Pictures(scene, estimate, stages)
     folder.mkdir(parents=True, exist_ok=True)

@@ -34,8 +34,10 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import inhand
-from inhand.datasets.bop import BopImage, find_hand, find_scenes, read_image, read_scene
+from inhand.datasets.bop import BopImage
+from inhand.datasets.bop_images import read_image
 from inhand.datasets.bop_models import load_model, model_name
+from inhand.datasets.bop_scene import find_hand, find_scenes, read_scene
 from inhand.evaluation.metrics import adi, sample_model
 from inhand.evaluation.results import JOINT_PIXELS
 from inhand.geometry.se3 import transform

@@ -20,8 +20,9 @@ from scipy.optimize import minimize
 from scipy.spatial import KDTree
 
 import inhand
-from inhand.datasets.bop import find_hand, find_scenes, read_image, read_scene
+from inhand.datasets.bop_images import read_image
 from inhand.datasets.bop_models import load_model, model_name
+from inhand.datasets.bop_scene import find_hand, find_scenes, read_scene
 from inhand.errors import NoAnswer
 from inhand.evaluation.metrics import adi, sample_model
 from inhand.evaluation.statistics import auroc

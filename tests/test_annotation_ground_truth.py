@@ -15,7 +15,7 @@ from inhand.annotation.images import ImageFile, RawImage, find_images
 from inhand.annotation.session import Session
 from inhand.annotation.workbench import Workbench
 from inhand.cli import main
-from inhand.datasets.bop import read_image
+from inhand.datasets.bop_images import read_image
 from inhand.datasets.frames import find_frames, find_hand, find_objects, load_object, read_frame
 from inhand.errors import InputError
 from inhand.evaluation.metrics import ObjectMetric

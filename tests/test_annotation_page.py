@@ -26,7 +26,9 @@ from inhand.annotation.storage import SESSION_FILE, load_session, save_session
 from inhand.annotation.workbench import Workbench
 from inhand.cli import main
 from inhand.datasets.frames import find_frames, read_frame
-from inhand.evaluation.metrics import ObjectMetric, wrist_error
+from inhand.evaluation.hand_errors import wrist_error
+from inhand.evaluation.metrics import ObjectMetric
+from inhand.evaluation.symmetric_poses import nearest_symmetric
 from inhand.geometry.se3 import exp, transform
 from inhand.synth.scene import Scene
 from inhand.viewer.server import address, serving
@@ -151,10 +153,9 @@ def test_a_frame_is_labelled_from_a_bad_start(
 def turn_by_keys(page: ViserPage, bench: Workbench, scene: Scene) -> None:
     """Turn the object by keys until it is nearly right."""
     keys = [("Shift+K", "Shift+I"), ("Shift+J", "Shift+L"), ("Shift+O", "Shift+U")]
-    metric = ObjectMetric(scene.obj)
     while True:
         T = bench.label.T_camera_object
-        nearest = metric.nearest_symmetric(T, scene.T_camera_object)
+        nearest = nearest_symmetric(scene.obj.symmetry, T, scene.T_camera_object)
         way = np.degrees(Rotation.from_matrix(nearest[:3, :3] @ T[:3, :3].T).as_rotvec())
         axis = int(np.abs(way).argmax())
         if abs(way[axis]) < 12:

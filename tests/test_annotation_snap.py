@@ -12,7 +12,7 @@ from inhand.annotation.images import RawImage
 from inhand.annotation.session import Label
 from inhand.annotation.snap import SnapConfig, Snapper
 from inhand.errors import InputError, NoAnswer
-from inhand.evaluation.metrics import wrist_error
+from inhand.evaluation.hand_errors import wrist_error
 from inhand.geometry.se3 import exp, transform
 from inhand.packed import PackedHand, PackedObject
 from inhand.synth.scene import Scene

@@ -123,7 +123,7 @@ def test_a_full_disk_leaves_the_last_save(path: Path, monkeypatch: pytest.Monkey
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(InputError, match=r"cannot save .*annotation.json: No space left"):
+    with pytest.raises(InputError, match=r"cannot write .*annotation.json: No space left"):
         save_session(path, first.undo())
     assert os.listdir(path.parent) == [SESSION_FILE]
     monkeypatch.undo()
@@ -169,7 +169,7 @@ def test_only_one_process_labels_into_a_folder(path: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot save"):
+    with pytest.raises(InputError, match="cannot write"):
         save_session(tmp_path / "file" / SESSION_FILE, Session(IMAGES))
     for use in (check_folder, lambda folder: locked(folder).__enter__()):
         with pytest.raises(InputError, match="cannot"):

@@ -270,7 +270,7 @@ def test_a_folder_that_cannot_be_written_is_said_at_once(
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
     monkeypatch.setattr(os, "replace", denied)
-    with pytest.raises(InputError, match=r"cannot save .*annotation\.json: Permission denied"):
+    with pytest.raises(InputError, match=r"cannot write .*annotation\.json: Permission denied"):
         workbench(tmp_path, scenes[:1])
 
 

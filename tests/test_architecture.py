@@ -26,7 +26,7 @@ LAYERS = [
     + ["object_symmetry", "pair_table", "object_model"],
     ["stages", "estimate"],
     ["estimator"],
-    ["io", "overlay", "picture", "builtin", "cluster"],
+    ["whole_file", "io", "overlay", "picture", "builtin", "cluster"],
     ["synth", "datasets"],
     ["evaluation", "baselines", "tracking", "streams"],
     ["cli", "viewer", "annotation"],

@@ -24,7 +24,7 @@ from inhand.evaluation.benchmark import Benchmark, peak_memory, pick_frames
 from inhand.evaluation.contact_sheet import TILE, ContactSheet, worst_frames
 from inhand.evaluation.diagnosis import SegmentQuality, stage_to_blame
 from inhand.evaluation.metrics import PoseError
-from inhand.evaluation.report import print_comparison, print_summary
+from inhand.evaluation.printing import print_comparison, print_summary
 from inhand.evaluation.results import FrameResult, Ledger, read_results
 from inhand.evaluation.shards import Shard
 from inhand.evaluation.summary import summarise

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from inhand.camera import Camera
-from inhand.datasets import bop
-from inhand.datasets.bop import BopImage, HandInfo, HandTruth, Instance, read_image
+from inhand.datasets import bop, bop_frames, bop_scene
+from inhand.datasets.bop import BopImage, HandInfo, HandTruth, Instance
+from inhand.datasets.bop_images import read_image
 from inhand.datasets.bop_models import load_model, write_models
 from inhand.datasets.bop_results import BopResult, read_results, write_results
 from inhand.datasets.bop_writer import finish_scene, write_dataset_files, write_image
@@ -144,7 +145,7 @@ def test_images_come_back_as_they_were(tmp_path: Path, count: int, hand: bool) -
         again = read_image(scene, image_id)
         assert_same(again, image)
         write_image(scene.parent / "000002", image_id, again)
-    finish_scene(scene.parent / "000002", bop.read_scene(scene).hand_info)
+    finish_scene(scene.parent / "000002", bop_scene.read_scene(scene).hand_info)
     for file in scene.rglob("*.*"):
         copy = scene.parent / "000002" / file.relative_to(scene)
         assert copy.read_bytes() == file.read_bytes(), file
@@ -205,18 +206,20 @@ def test_frames_of_both_layouts_are_one_type(dataset: Path) -> None:
     np.testing.assert_array_equal(frame.truth.label == 1, image.segmentation == HAND)
     np.testing.assert_array_equal(frame.truth.label == 0, image.segmentation == 0)
     assert find_hand(dataset, "") == dataset / "hand" / "hand.urdf"
-    info = bop.read_scene(dataset / "test" / "000001").hand_info
+    info = bop_scene.read_scene(dataset / "test" / "000001").hand_info
     assert info is not None
     assert info.package_paths == {"robot": dataset.parent / "robot"}
 
 
 def test_targets_choose_the_frames(dataset: Path) -> None:
-    instances = [(f.parents[1].name, *bop.frame_ids(f)) for f in find_frames([dataset])]
+    instances = [(f.parents[1].name, *bop_frames.frame_ids(f)) for f in find_frames([dataset])]
     assert instances[0] == ("000001", 3, 0)
     targets = json.loads((dataset / bop.TARGETS).read_text())
     (dataset / bop.TARGETS).write_text(json.dumps(targets[:1]))
     (only,) = find_frames([dataset])
-    assert bop.frame_target(only) == tuple(targets[0][k] for k in ("scene_id", "im_id", "obj_id"))
+    assert bop_frames.frame_target(only) == tuple(
+        targets[0][k] for k in ("scene_id", "im_id", "obj_id")
+    )
     elsewhere = {**targets[0], "scene_id": 77}
     (dataset / bop.TARGETS).write_text(json.dumps([targets[0], elsewhere]))
     assert find_frames([dataset]) == [only], "a scene that is not here is none to be found"

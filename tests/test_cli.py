@@ -1,8 +1,10 @@
 """The command line: arguments, exit codes, files."""
 
+import io
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,12 @@ import pytest
 import tiny_urdf
 import warp as wp
 from PIL import Image
+from rich.console import Console
 
+import inhand
 from inhand import Camera, EstimatorConfig, PoseEstimate, PoseEstimator
-from inhand.cli import main
+from inhand.cli import common, main
+from inhand.cli.common import waiting
 from inhand.geometry.mesh import box
 from inhand.io import read_result
 
@@ -94,7 +99,9 @@ def test_found(
     assert estimator.object.model.name == "object"
     np.testing.assert_array_equal(read_result(out).T_camera_object, T_OBJECT)
     assert Image.open(picture).width > 1000
-    printed = capsys.readouterr().out
+    printed, said = capsys.readouterr()
+    assert "object, 62 mm across" in printed
+    assert str(picture) in said.replace("\n", "")
     assert "0.75" in printed
     assert "28.6 deg  bend" in printed
 
@@ -160,11 +167,29 @@ def test_bad_input(
 ) -> None:
     files[option] = value.removeprefix("=") if value[0] == "=" else str(tmp_path / value)
     assert estimate(files) == 2
-    complaint = capsys.readouterr().err
+    *_, complaint = capsys.readouterr().err.splitlines()
     assert complaint.startswith("inhand: ")
     assert message in complaint
     assert "Traceback" not in complaint
     assert not calls
+
+
+def test_a_log_is_told_what_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = io.StringIO()
+    log = Console(file=text)
+    with waiting(log, "Soon done") as say:
+        say("Nearly done")
+    monkeypatch.setattr(common, "PATIENCE", 0.0)
+    with waiting(log, "Building") as say:
+        while "Building" not in text.getvalue():
+            time.sleep(0.01)
+        say("Still building")
+    assert text.getvalue() == "Building\n"
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"{inhand.__version__}\n"
 
 
 def test_result_that_cannot_be_written(

@@ -8,7 +8,8 @@ from scipy.spatial import KDTree
 
 from inhand.datasets.frames import find_frames, load_object, read_frame
 from inhand.estimator import PoseEstimator
-from inhand.evaluation.metrics import adi, sample_model, wrist_error
+from inhand.evaluation.hand_errors import wrist_error
+from inhand.evaluation.metrics import adi, sample_model
 from inhand.hand import Hand
 
 

@@ -14,7 +14,8 @@ from inhand import EstimatorConfig, Hand, PoseEstimate, PoseEstimator
 from inhand.camera import Camera
 from inhand.errors import InputError
 from inhand.estimator import StageResults
-from inhand.evaluation.metrics import ObjectMetric, wrist_error
+from inhand.evaluation.hand_errors import wrist_error
+from inhand.evaluation.metrics import ObjectMetric
 from inhand.geometry.se3 import check_rigid, exp
 from inhand.kernels import launch as seam
 from inhand.kernels.depth import DepthRenderer

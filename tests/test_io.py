@@ -78,6 +78,13 @@ def test_marks_of_no_reading_become_zero(tmp_path: Path, nothing: float) -> None
     np.testing.assert_array_equal(depth[:2], METRES[:2])
 
 
+def test_counts_of_another_unit_name_the_unit(tmp_path: Path) -> None:
+    np.save(tmp_path / "d.npy", COUNTS)
+    camera = Camera(60.0, 60.0, 3.5, 2.5, width=8, height=6, depth_unit=1.0)
+    with pytest.raises(InputError, match=r"d\.npy \(a count is 1 m\): the median depth is"):
+        read_depth(tmp_path / "d.npy", camera)
+
+
 def test_an_image_without_readings_is_no_bad_input(tmp_path: Path) -> None:
     np.save(tmp_path / "d.npy", np.zeros_like(COUNTS))
     assert not read_depth(tmp_path / "d.npy", CAMERA).any()

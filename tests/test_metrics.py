@@ -169,16 +169,6 @@ def test_no_rotation_of_a_sphere_is_an_error() -> None:
     assert sphere.add(estimate, truth) == pytest.approx(0.005, abs=1e-9)
 
 
-def test_wrist_and_angle_errors() -> None:
-    T = random_pose()
-    off = T @ pose(Rotation.from_euler("y", 0.05), (0.0, 0.0, 0.002))
-    assert metrics.wrist_error(off, T) == pytest.approx((0.002, 0.05))
-    errors = metrics.angle_errors(
-        {"a": 0.5, "b": 3.1, "c": 0.1 + 2 * np.pi, "mimic": 1.0}, {"a": 0.2, "b": -3.1, "c": 0.0}
-    )
-    assert errors == pytest.approx({"a": 0.3, "b": 2 * np.pi - 6.2, "c": 0.1})
-
-
 def test_adi_of_the_toolkit_goes_the_other_way(box_metric: ObjectMetric) -> None:
     truth = seen_pose()
     estimate = truth @ pose(Rotation.from_rotvec([0.3, 0.1, 0.2]), (0.004, 0.002, 0.001))

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from inhand import EstimatorConfig, PoseEstimate, PoseEstimator
-from inhand.evaluation.metrics import ObjectMetric, angle_errors, wrist_error
+from inhand.evaluation.hand_errors import angle_errors, wrist_error
+from inhand.evaluation.metrics import ObjectMetric
 from inhand.kernels.depth import DepthRenderer
 from inhand.synth.demo import REGRESSION, demo_scene
 from inhand.synth.scene import Scene

@@ -14,7 +14,7 @@ from PIL import Image
 
 from inhand.cli import report as command
 from inhand.errors import InputError
-from inhand.evaluation import figures, report, tables
+from inhand.evaluation import comparison_tables, figures, tables
 from inhand.evaluation.contact_sheet import hardest_solved
 from inhand.evaluation.machine import origin
 from inhand.evaluation.make_report import make_report
@@ -273,7 +273,7 @@ def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
 
 
 def test_recall_by_object(study: Study) -> None:
-    table = report.object_table(summaries(study))
+    table = comparison_tables.object_table(summaries(study))
     assert cell(table, "inhand", "can") == "66.7 (21-94)"
     assert cell(table, "inhand", "mean of frames").startswith("50.0 ")
     assert cell(table, "fpfh+hs", "can").startswith("75.0 "), "the frame it failed on is a miss"
@@ -281,7 +281,7 @@ def test_recall_by_object(study: Study) -> None:
 
 
 def test_the_best_stands_out_but_no_upper_bound(study: Study) -> None:
-    table = report.overview_table(summaries(study))
+    table = comparison_tables.overview_table(summaries(study))
     assert isinstance(cell(table, "inhand", "ADI < 2 mm"), Best)
     assert not isinstance(cell(table, "fpfh+mask", "ADI < 2 mm"), Best)
     assert cell(table, "fpfh+mask", "ADI < 2 mm").startswith("100.0")
@@ -289,7 +289,7 @@ def test_the_best_stands_out_but_no_upper_bound(study: Study) -> None:
 
 
 def test_difference_counts_frames_in_common(study: Study) -> None:
-    table = report.difference_table(study.results("clean"), "inhand")
+    table = comparison_tables.difference_table(study.results("clean"), "inhand")
     assert [row[0] for row in table.rows] == ["fpfh+hs", "fpfh+mask"]
     # inhand solves frames 0, 1, 4; fpfh+hs 0, 2, 4.
     assert cell(table, "fpfh+hs", "frames") == "6"
@@ -301,26 +301,29 @@ def test_difference_counts_frames_in_common(study: Study) -> None:
 
 def test_ablation_tells_the_gain_of_every_step(study: Study) -> None:
     steps = {m: summarise(r) for m, r in study.results("clean", ablation=True).items()}
-    rows = report.ablation_table(steps).rows
+    rows = comparison_tables.ablation_table(steps).rows
     assert [row[0] for row in rows] == ["ablation-baseline", "+ ablation-pairs"]
     assert rows[1][2] == "+75.0"
 
 
 def test_perturbation_table_has_units(study: Study) -> None:
-    table = report.perturbation_table(study.perturbed)
+    table = comparison_tables.perturbation_table(study.perturbed)
     assert [row[1] for row in table.rows] == [f"translation {x} mm" for x in (0, 10, 20)]
     assert [row[3].split()[0] for row in table.rows] == ["100.0", "100.0", "0.0"]
 
 
 def test_hand_and_time_tables(study: Study) -> None:
     pooled = {"inhand": summaries(study)["inhand"]}
-    assert cell(report.hand_table(pooled), "inhand", "joint angles [deg]") == "1.1 / 1.1"
-    assert cell(report.hand_table(pooled), "inhand", "as given [mm]") == "4.0 / 4.0"
-    assert cell(report.time_table(pooled), "inhand", "95 %") == "40.0"
-    assert cell(report.stage_time_table(pooled), "hypotheses", "inhand") == "20.0 / 20.0 / 20.0"
-    assert cell(report.lost_table(pooled), "inhand", "selection") == "3"
-    assert cell(report.alive_table(pooled), "inhand", "selection").startswith("100.0")
-    assert cell(report.confidence_table(pooled), "inhand", "AUROC").startswith("100.0")
+    assert cell(comparison_tables.hand_table(pooled), "inhand", "joint angles [deg]") == "1.1 / 1.1"
+    assert cell(comparison_tables.hand_table(pooled), "inhand", "as given [mm]") == "4.0 / 4.0"
+    assert cell(comparison_tables.time_table(pooled), "inhand", "95 %") == "40.0"
+    assert (
+        cell(comparison_tables.stage_time_table(pooled), "hypotheses", "inhand")
+        == "20.0 / 20.0 / 20.0"
+    )
+    assert cell(comparison_tables.lost_table(pooled), "inhand", "selection") == "3"
+    assert cell(comparison_tables.alive_table(pooled), "inhand", "selection").startswith("100.0")
+    assert cell(comparison_tables.confidence_table(pooled), "inhand", "AUROC").startswith("100.0")
 
 
 def test_tables_in_markdown_and_html_escape_what_they_hold() -> None:

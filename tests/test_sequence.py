@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from inhand.camera import Camera
 from inhand.cli import main
 from inhand.datasets import bop
-from inhand.datasets.bop import read_image, read_scene
+from inhand.datasets.bop_images import read_image
+from inhand.datasets.bop_scene import read_scene
 from inhand.datasets.frames import find_frames, read_frame
 from inhand.errors import InputError
 from inhand.geometry import se3

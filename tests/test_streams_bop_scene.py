@@ -11,12 +11,17 @@ import pytest
 from inhand.camera import Camera
 from inhand.datasets import bop
 from inhand.datasets.bop import BopImage, HandInfo, HandTruth, Instance
+from inhand.datasets.bop_models import write_models
 from inhand.datasets.bop_writer import finish_scene, write_image
+from inhand.datasets.frame import Frame as LabelledFrame
 from inhand.errors import InputError
+from inhand.geometry.mesh import TriangleMesh
 from inhand.geometry.se3 import exp
+from inhand.object_model import ObjectModel
 from inhand.streams.config import StreamConfig
 from inhand.streams.open_source import open_source
 from inhand.streams.source import Frame
+from inhand.synth.demo import builtin_object
 
 CAMERA = Camera(fx=40.0, fy=40.0, cx=15.5, cy=11.5, width=32, height=24, depth_unit=bop.DEPTH_UNIT)
 
@@ -35,6 +40,9 @@ def image(number: int, *, hand: bool) -> BopImage:
         instances=(Instance(1, np.eye(4), mask, mask, silhouette_pixels=mask.size),),
         hand=truth if hand else None,
     )
+
+
+CAN, CUBOID = builtin_object("can"), builtin_object("cuboid")
 
 
 def write_scene(folder: Path, *, hand: bool = True) -> Path:
@@ -69,6 +77,48 @@ def test_times_of_a_sequence(tmp_path: Path) -> None:
         entry["time"] = 0.5 * int(number)
     path.write_text(json.dumps(fields))
     assert [f.time_ns for f in frames(scene, StreamConfig())] == [10**9, 2 * 10**9, 4_500_000_000]
+
+
+def truth_of(frame: Frame, obj: ObjectModel) -> LabelledFrame:
+    assert frame.read_truth is not None
+    return frame.read_truth(obj)
+
+
+def test_ground_truth_is_that_of_the_object_whose_model_is_given(tmp_path: Path) -> None:
+    """Wrist and camera are those that the estimator is given."""
+    scene = tmp_path / "test" / "000001"
+    first = image(2, hand=True)
+    T = exp(np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.5]))
+    other = replace(first.instances[0], object_id=7, T_camera_object=T)
+    write_image(scene, 2, replace(first, instances=(*first.instances, other)))
+    finish_scene(scene, HandInfo(tmp_path / "hand.urdf", {}))
+    write_models(tmp_path / "models", {1: CAN, 7: CUBOID})
+    wrist = exp(np.array([0, 0, 0, 0, 0, 0.6]))
+    (frame,) = frames(scene, StreamConfig(T_camera_hand=wrist, camera=replace(CAMERA, fx=41.0)))
+    for obj, pose in ((CAN, np.eye(4)), (CUBOID, T)):
+        labelled = truth_of(frame, obj)
+        np.testing.assert_array_equal(labelled.truth.T_camera_object, pose)
+        np.testing.assert_array_equal(labelled.truth.wrist, np.eye(4))
+        np.testing.assert_array_equal(labelled.wrist, wrist)
+        np.testing.assert_array_equal(labelled.depth, frame.depth)
+        assert labelled.camera == frame.camera
+
+
+def test_ground_truth_of_what_is_not_known_is_not_guessed(tmp_path: Path) -> None:
+    frame, *_ = frames(write_scene(tmp_path), StreamConfig())
+    with pytest.raises(InputError, match="has no models to tell its objects by"):
+        truth_of(frame, CAN)
+    write_models(tmp_path / "models", {1: CAN, 2: CUBOID})
+    with pytest.raises(InputError, match="has 0 objects number 2 in image 2"):
+        truth_of(frame, CUBOID)
+    with pytest.raises(InputError, match=r"the mesh is none of the models in .*models"):
+        truth_of(frame, builtin_object("bottle"))
+    shifted = TriangleMesh(CAN.mesh.vertices + (0, 0, 0.01), CAN.mesh.faces)
+    with pytest.raises(InputError, match="the mesh is none of the models"):
+        truth_of(frame, replace(CAN, mesh=shifted))
+    shutil.rmtree(tmp_path / "test" / "000001" / "mask")
+    with pytest.raises(InputError, match="there is no image"):
+        truth_of(frame, CAN)
 
 
 def test_a_broken_image_is_one_problem(tmp_path: Path) -> None:

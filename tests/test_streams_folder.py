@@ -116,7 +116,7 @@ def two_of_a_name(folder: Path) -> None:
 
 
 BAD = {
-    "no camera": (no_camera, "camera.json"),
+    "no camera": (no_camera, r"there are no intrinsics .*camera\.json: .*--camera FILE"),
     "no pose": (lambda f: None, "tells no wrist pose: expected hand_poses.json or hand_pose.json"),
     "poses of others": (lambda f: write_poses(f, {"x": pose(0)}), 'such as "0"'),
     "no object": (lambda f: write_poses(f, {"0": 1}), '"0" in .* must be an object with "T_camera'),

@@ -1,10 +1,6 @@
 """Results as JSON lines and as ROS recordings; full disks."""
 
 import json
-import resource
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from any_stream import START, T_HAND, T_OBJECT, FakeSource, found, not_found
+from full_disk import largest_file
 from ros_recording import KINDS, recording_path
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys.store import Typestore
@@ -34,19 +31,6 @@ OBJECT = builtin_object("bottle")
 
 def lines_of(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines()]
-
-
-@contextmanager
-def largest_file(size: int) -> Iterator[None]:
-    """No file may grow beyond `size` bytes: what the system then says is what a full disk says."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, ignored)
 
 
 def test_json_lines(tmp_path: Path) -> None:
@@ -82,6 +66,7 @@ def test_json_lines(tmp_path: Path) -> None:
             "refused": 0,
             "stopped": "",
             "first_problem": "image 1: no wrist pose: it is never told",
+            "first_not_found": "",
         }
     }
 

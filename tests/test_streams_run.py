@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import socket
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,17 @@ from rosbags import rosbag1, rosbag2
 from inhand import Camera, PoseEstimate, PoseEstimator
 from inhand.builtin.hand import write_hand
 from inhand.cli import main
-from inhand.evaluation.metrics import ObjectMetric, wrist_error
+from inhand.datasets.bop import HandInfo
+from inhand.datasets.bop_models import write_models
+from inhand.datasets.bop_writer import finish_scene, write_image
+from inhand.evaluation.hand_errors import wrist_error
+from inhand.evaluation.metrics import ObjectMetric
 from inhand.geometry.mesh import TriangleMesh
 from inhand.streams.bag import BagKind
+from inhand.synth.dataset import annotated
 from inhand.synth.scene import Scene
 from inhand.urdf import read_urdf
+from inhand.viewer.frames import ViewedFrame
 from inhand.viewer.live import LiveView
 
 START = 1_700_000_000 * 1000 * MS
@@ -143,10 +150,12 @@ def test_nothing_found_is_exit_code_1(
     calls: list[Any],
     source: Path,
     monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     nothing = PoseEstimate(False, "hidden", None, {}, None, 0.0)
     monkeypatch.setattr(PoseEstimator, "estimate", lambda *args: nothing)
     assert main(["run", str(source), *models, "--out", str(tmp_path / "o.jsonl")]) == 1
+    assert "The first without an answer: image 0: hidden" in capsys.readouterr().err
 
 
 def test_bad_input_leaves_no_output(
@@ -283,7 +292,7 @@ def test_a_page_shows_every_result_and_stays_until_ctrl_c(
 ) -> None:
     shown: dict[str, Any] = {}
     monkeypatch.setattr(
-        LiveView, "show", lambda self, frame, estimate, stages: shown.update({frame.name: stages})
+        LiveView, "show", lambda self, frame, estimate, stages: shown.update({frame().name: stages})
     )
     assert main(["run", str(source), *models, *view]) == 0
     assert list(shown) == [r["frame"] for r in lines_of(tmp_path / "o.jsonl")[0]]
@@ -296,6 +305,48 @@ def test_a_page_shows_every_result_and_stays_until_ctrl_c(
     said = " ".join(capsys.readouterr().err.split())
     assert f"Page: http://localhost:{view[-1]}" in said
     assert f"page stays at http://localhost:{view[-1]} until Ctrl-C" in said
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_the_page_of_a_scene_shows_its_ground_truth(
+    tmp_path: Path,
+    scenes: list[Scene],
+    models: list[str],
+    calls: list[Any],
+    view: list[str],
+    waiting: Waiting,
+    monkeypatch: pytest.MonkeyPatch,
+    bent: bool,
+) -> None:
+    """Unless the hand is another one, which it says."""
+    scene, folder = scenes[0], tmp_path / "set" / "test" / "000001"
+    image = annotated(scene, 1)
+    if bent:
+        assert image.hand is not None
+        image = replace(image, hand=replace(image.hand, joint_positions={"bend": 0.1}))
+    write_image(folder, 3, image)
+    finish_scene(folder, HandInfo(Path(models[1]), {}))
+    write_models(tmp_path / "set" / "models", {1: scene.obj})
+    shown: list[ViewedFrame] = []
+    monkeypatch.setattr(
+        LiveView, "show", lambda self, frame, estimate, stages: shown.append(frame())
+    )
+    assert main(["run", str(folder), *models, *view]) == 0
+    (frame,) = shown
+    truth = frame.truth(scene.hand)
+    assert frame.depth.shape == scene.depth.shape
+    if bent:
+        assert truth is None
+        assert "ground truth cannot be shown: unknown joint bend" in frame.remark
+        return
+    assert frame.colour is not None
+    assert frame.labelled is not None
+    assert truth is not None
+    assert truth.T_camera_object is not None
+    assert truth.T_camera_hand is not None
+    np.testing.assert_allclose(truth.T_camera_object, scene.T_camera_object, atol=1e-12)
+    np.testing.assert_allclose(truth.T_camera_hand, scene.T_camera_hand, atol=1e-12)
+    np.testing.assert_array_equal(frame.labelled.wrist, frame.T_camera_hand)
 
 
 def test_the_page_of_a_run_that_broke_off_stays_and_says_why(
@@ -337,9 +388,38 @@ def test_options_that_would_do_nothing_are_said(
     out = tmp_path / "o.jsonl"
     assert main(["run", str(source), *models, "--out", str(out), "--port", "8081"]) == 2
     assert "--port is the port of the page: give --view too" in capsys.readouterr().err
+    assert main(["run", str(source), *models, "--out", str(out), "--host", "0.0.0.0"]) == 2
+    assert "--host is the address of the page: give --view too" in capsys.readouterr().err
     assert main(["run", str(source), *models, "--out", str(out), "--bag-kind", "ros1"]) == 2
     assert "give --bag PATH too" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_page_for_other_machines(
+    models: list[str], calls: list[Any], source: Path, view: list[str], waiting: Waiting
+) -> None:
+    """What it listens on, for a moment before Ctrl-C; all of 127.0.0.0/8 is this machine."""
+    reached = []
+
+    def look() -> None:
+        with socket.create_connection(("127.0.0.2", int(view[-1])), timeout=5):
+            reached.append(True)
+        raise KeyboardInterrupt
+
+    waiting.wait = look  # type: ignore[method-assign]
+    assert main(["run", str(source), *models, *view, "--limit", "1", "--host", "0.0.0.0"]) == 0
+    assert reached
+
+
+def test_a_host_that_is_not_this_machine(
+    models: list[str],
+    calls: list[Any],
+    source: Path,
+    view: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["run", str(source), *models, *view, "--host", "192.0.2.1"]) == 2
+    assert 'cannot listen on "192.0.2.1"' in capsys.readouterr().err
 
 
 def test_a_taken_port_leaves_no_output(

@@ -109,6 +109,7 @@ def test_images_that_cannot_be_estimated_are_reported_and_counted() -> None:
     ]
     assert summary.counts == Counts(processed=5, found=1, without_wrist=1, refused=2)
     assert summary.first_problem == "image 1: no wrist pose: it is never told"
+    assert summary.first_not_found == "image 2: the object is hidden"
     assert [c.processed for c in reports] == [1, 2, 3, 4, 5]
 
 

@@ -14,9 +14,11 @@ from PIL import Image
 
 from inhand.camera import Camera
 from inhand.cli import main
-from inhand.datasets import bop
-from inhand.datasets.bop import BopImage, Instance, read_image, read_scene
+from inhand.datasets import bop, bop_frames
+from inhand.datasets.bop import BopImage, Instance
+from inhand.datasets.bop_images import read_image
 from inhand.datasets.bop_results import read_results
+from inhand.datasets.bop_scene import read_scene
 from inhand.datasets.frames import find_frames, find_hand, find_objects, load_object, read_frame
 from inhand.errors import InputError
 from inhand.geometry.mesh import box
@@ -133,7 +135,7 @@ def test_images_show_the_models_at_their_true_poses(dataset: Path) -> None:
     assert models is not None
     hand = Hand.from_urdf(urdf)
     for path in find_frames([dataset])[::4]:
-        scene_folder, (image_id, _) = path.parents[1], bop.frame_ids(path)
+        scene_folder, (image_id, _) = path.parents[1], bop_frames.frame_ids(path)
         image = read_image(scene_folder, image_id)
         frame, (obj,) = read_frame(path), image.instances
         assert image.hand is not None

@@ -153,7 +153,7 @@ def test_an_image_of_a_live_view_is_held_and_looked_into(browser: Any) -> None:
         live.show(viewed(scene, "first", STEP), analysis.estimate, analysis.results)
         page.wait_for_text("first (industrial_part)")
         page.tick("Hold this image")
-        live.show(viewed(scene, "second", STEP), analysis.estimate, analysis.results)
+        live.show(lambda: viewed(scene, "second", STEP), analysis.estimate, analysis.results)
         page.slide("Stage", 4 / 7)
         page.wait_for_text("5 of 8: hypotheses")
         page.tab.get_by_text("Try by hand").click()

@@ -235,7 +235,7 @@ class SegmentationConfig(Section):
 class EvidenceConfig(Section):
     """How object poses are scored against the image."""
 
-    hand_step: int = 2
+    hand_step: int = 4
     """The hand is rendered at every so-many-th pixel."""
     violation: NonNegative = 2.0
     """Penalty of a model point that the camera looked through, in units of one that agrees."""
@@ -441,7 +441,7 @@ class SelectionConfig(Section):
     near: float = 0.002
     """`likelihood`: a segment point this near to the model's surface is explained [m]; nearer than
     for poses that are not refined yet."""
-    grasps: int = 4
+    grasps: int = 12
     """`likelihood`: poses that hidden fingers are placed against."""
     finger_points: int = 50
     """`likelihood`: surface samples of a finger link that are held against the object for it."""

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,10 @@ from inhand.errors import InputError
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.estimator import check_depth
 from inhand.geometry.se3 import check_rigid
+from inhand.whole_file import whole_file, write_whole
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 NOTHING_THERE = 65504.0
 """Renderers mark the empty background by the largest half-precision number, or by 1e10."""
@@ -54,7 +58,8 @@ def read_depth(path: str | Path, camera: Camera) -> NDArray[np.float32]:
     try:
         return check_depth(depth, camera)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        counts = "" if pixels.dtype.kind == "f" else f" (a count is {camera.depth_unit:g} m)"
+        raise InputError(f"{path}{counts}: {error}") from error
 
 
 def read_colour(path: str | Path, camera: Camera) -> NDArray[np.uint8]:
@@ -106,7 +111,7 @@ def write_result(path: str | Path, estimate: PoseEstimate) -> None:
         "timings": estimate.timings,
     }
     text = json.dumps(_plain(fields), indent=1, allow_nan=False) + "\n"
-    with_folder(path, lambda file: file.write_text(text))
+    write_whole(path, text)
 
 
 def read_result(path: str | Path) -> PoseEstimate:
@@ -133,19 +138,16 @@ def read_result(path: str | Path) -> PoseEstimate:
         raise InputError(f"{path} is no result of an estimate: {error!r}") from error
 
 
-def with_folder(path: str | Path, write: Callable[[Path], object]) -> None:
-    """Call `write` with `path`, whose folder is made where it is missing.
+def write_picture(path: str | Path, picture: "Image") -> None:
+    """Write a picture, in the format that the file's ending names.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the file cannot be written, or its ending names no format.
     """
-    path = Path(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
-    except ValueError as error:  # an ending that names no image format
+        with whole_file(path) as unfinished:
+            picture.save(unfinished)
+    except ValueError as error:
         raise InputError(f"cannot write {path}: {error}") from error
 
 

@@ -20,12 +20,12 @@ from inhand.annotation.session import Label, Session
 from inhand.datasets.bop import DEPTH_UNIT, SPLIT, BopImage, HandInfo, HandTruth, Instance
 from inhand.datasets.bop_models import write_models
 from inhand.datasets.bop_writer import finish_scene, write_dataset_files, write_image
-from inhand.datasets.exact import write_whole
 from inhand.errors import InputError
-from inhand.evaluation.metrics import ObjectMetric
+from inhand.evaluation.symmetric_poses import nearest_symmetric
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.synth.renderer import BACKGROUND_BODY, NO_BODY, OBJECT_BODY, Images, SceneRenderer
+from inhand.whole_file import write_whole
 
 IN_FRONT = 0.015
 """A reading this far in front of a model hides it [m]: BOP's tolerance for visibility masks."""
@@ -114,7 +114,7 @@ class ImageMaker:
 
     def __init__(self, hand: Hand, object_id: int, obj: ObjectModel) -> None:
         self._hand, self._object_id = hand, object_id
-        self._renderer, self._metric = SceneRenderer(hand, obj), ObjectMetric(obj)
+        self._renderer, self._symmetry = SceneRenderer(hand, obj), obj.symmetry
 
     def make(self, raw: RawImage, label: Label) -> BopImage:
         """An image with its label as ground truth.
@@ -128,7 +128,7 @@ class ImageMaker:
             label: the label.
         """
         q = self._hand.joint_vector(label.joint_positions)
-        T_camera_object = self._metric.nearest_symmetric(np.eye(4), label.T_camera_object)
+        T_camera_object = nearest_symmetric(self._symmetry, np.eye(4), label.T_camera_object)
         links = label.T_camera_hand @ self._hand.forward_kinematics(q)
         depth = np.where(raw.depth <= FARTHEST, raw.depth, np.float32(0))
         rendered = self._renderer.render(raw.camera, T_camera_object, links)

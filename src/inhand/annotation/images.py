@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
-from inhand.datasets import bop, bop_models
+from inhand.datasets import bop, bop_images, bop_models, bop_scene
 from inhand.datasets.exact import read_json, rigid
 from inhand.datasets.frames import find_frames, frame_name, object_name, read_frame
 from inhand.errors import InputError
@@ -98,15 +98,15 @@ def _find_scenes(source: Path) -> list[Path]:
 
 def _scene_images(scene: Path) -> list[ImageFile]:
     scene = scene.resolve()
-    cameras = bop.by_image(read_json(scene / bop.CAMERA), scene / bop.CAMERA)
+    cameras = bop_scene.by_image(read_json(scene / bop.CAMERA), scene / bop.CAMERA)
     truth: Mapping[int, Any] = {}
     if (scene / bop.TRUTH).is_file():
-        truth = bop.by_image(read_json(scene / bop.TRUTH), scene / bop.TRUTH)
+        truth = bop_scene.by_image(read_json(scene / bop.TRUTH), scene / bop.TRUTH)
     hands: Mapping[int, Any] = {}
     if (scene / bop.HAND).is_file():
-        hands = bop.by_image(read_json(scene / bop.HAND).get("images", {}), scene / bop.HAND)
-    files = bop.SceneFiles(scene, cameras, truth, {}, hands, None)
-    models = bop_models.find_models(bop.dataset_folder(scene))
+        hands = bop_scene.by_image(read_json(scene / bop.HAND).get("images", {}), scene / bop.HAND)
+    files = bop_scene.SceneFiles(scene, cameras, truth, {}, hands, None)
+    models = bop_models.find_models(bop_scene.dataset_folder(scene))
     return [
         ImageFile(
             f"{scene.name}/{number:06d}",
@@ -128,8 +128,8 @@ def _only_object(instances: Any, models: Path | None) -> str | None:
     return bop_models.model_name(models, *numbers) if len(numbers) == 1 else None
 
 
-def _read_scene_image(files: bop.SceneFiles, number: int) -> RawImage:
-    camera = bop.read_camera(files, number)
+def _read_scene_image(files: bop_scene.SceneFiles, number: int) -> RawImage:
+    camera = bop_images.read_camera(files, number)
     given = files.hand.get(number, {}).get("T_camera_hand_given")
     wrist = None
     if given is not None:
@@ -139,9 +139,9 @@ def _read_scene_image(files: bop.SceneFiles, number: int) -> RawImage:
         except (ValueError, TypeError, IndexError) as error:
             raise InputError(f"image {number} in {files.folder / bop.HAND}: {error}") from error
     return RawImage(
-        read_depth(bop.depth_path(files.folder, number), camera),
+        read_depth(bop_images.depth_path(files.folder, number), camera),
         camera,
-        bop.read_rgb(files.folder, number, camera),
+        bop_images.read_rgb(files.folder, number, camera),
         wrist,
     )
 

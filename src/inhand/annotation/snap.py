@@ -16,6 +16,7 @@ from inhand.annotation.session import Label
 from inhand.config import EstimatorConfig, NonNegative, Real, Section, Seed
 from inhand.errors import NoAnswer
 from inhand.evaluation.metrics import ObjectMetric
+from inhand.evaluation.symmetric_poses import nearest_symmetric
 from inhand.geometry.se3 import exp, transform
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
@@ -123,7 +124,9 @@ class Snapper:
         if scores.max() < s.least_score:
             raise NoAnswer("the image does not show the object where it is; move it closer")
         found = orthonormal(np.asarray(fine[scores.argmax()], dtype=np.float64))
-        return replace(label, T_camera_object=self.metric.nearest_symmetric(given, found))
+        return replace(
+            label, T_camera_object=nearest_symmetric(self.obj.model.symmetry, given, found)
+        )
 
     def snap_hand(self, raw: RawImage, label: Label) -> Label:
         """The label with wrist and fingers where the image shows them near their place in it.

@@ -7,7 +7,7 @@ a process or machine that stops at any moment leaves a whole file: the old one o
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,6 +19,7 @@ from inhand.checks import finite_number
 from inhand.errors import InputError
 from inhand.geometry.se3 import check_rigid
 from inhand.hand import Hand
+from inhand.whole_file import write_whole
 
 try:
     import fcntl
@@ -86,31 +87,7 @@ def save_session(path: Path, session: Session) -> None:
         "past": [_change_fields(change) for change in session.past],
         "future": [_change_fields(change) for change in session.future],
     }
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_durably(path, json.dumps(fields).encode())
-    except OSError as error:
-        raise InputError(f"cannot save {path}: {error.strerror or error}") from error
-
-
-def write_durably(path: Path, data: bytes) -> None:
-    """Write a file that outlives the process, and a power cut, completely or not at all.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    try:
-        with unfinished.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, path)
-    except OSError:
-        with suppress(OSError):  # a full disk wants the space back
-            unfinished.unlink(missing_ok=True)
-        raise
-    _sync_folder(path.parent)
+    write_whole(path, json.dumps(fields), durable=True)
 
 
 def load_session(path: Path, images: Sequence[str]) -> tuple[Session, str]:
@@ -260,13 +237,3 @@ def _set_aside(path: Path) -> Path:
             f"{path} is broken and cannot be renamed: {error.strerror or error}"
         ) from error
     return aside
-
-
-def _sync_folder(folder: Path) -> None:
-    """Force a rename onto the disk, where the system can."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

@@ -1,7 +1,7 @@
 """What works on images of one object in the hand: the estimator, the snapper and a renderer."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 from inhand.annotation.images import RawImage
 from inhand.annotation.session import Array, Label
@@ -10,6 +10,7 @@ from inhand.config import EstimatorConfig
 from inhand.errors import NoAnswer
 from inhand.estimator import PoseEstimator
 from inhand.evaluation.metrics import PoseError
+from inhand.evaluation.symmetric_poses import nearest_symmetric
 from inhand.geometry.se3 import transform
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
@@ -88,7 +89,7 @@ class Tools:
             raise NoAnswer(estimate.reason)
         joints = {name: estimate.joint_positions[name] for name in self.hand.joint_names}
         hand = replace(label, T_camera_hand=estimate.T_camera_hand, joint_positions=joints)
-        nearest = self.snapper.metric.nearest_symmetric
+        nearest = partial(nearest_symmetric, self.snapper.obj.model.symmetry)
         labels = tuple(
             replace(hand, T_camera_object=nearest(label.T_camera_object, c.T_camera_object))
             for c in estimate.candidates

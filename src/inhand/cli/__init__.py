@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from inhand import __version__
 from inhand.cli import annotate, bench, demo, estimate, report, run, synth, view, warmup
 from inhand.errors import InputError
 
@@ -44,6 +45,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     0: done, and the pose found where one was asked for; 1: no pose found; 2: bad input.
     """
+    if (sys.argv[1:] if argv is None else list(argv)) == ["--version"]:
+        print(__version__)  # noqa: T201
+        return FOUND
     command = tyro.cli(
         _Command,
         prog="inhand",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from inhand.cli.common import load_kernels
+from inhand.cli.common import load_kernels, waiting
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -80,7 +80,7 @@ def run(args: Annotate) -> None:
     check_folder(args.out)
     device = resolve_device(args.device)
     load_kernels(device, console)
-    with console.status("Building the model of the hand (from the cache next time)"):
+    with waiting(console, "Building the model of the hand (from the cache next time)"):
         hand = LabelledHand(Hand.from_urdf(urdf, args.package_paths), urdf, args.package_paths)
     config = make_config("default", args.seed)
     with locked(args.out):
@@ -88,7 +88,7 @@ def run(args: Annotate) -> None:
         if bench.remark:
             console.print(f"[yellow]{bench.remark}[/yellow]", highlight=False)
         if args.write:
-            with console.status("Writing the data set"):
+            with waiting(console, "Writing the data set"):
                 number = bench.write()
             console.print(f"Images written to {args.out}: {number}", highlight=False)
         else:

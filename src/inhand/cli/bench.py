@@ -11,7 +11,8 @@ import tyro
 from rich import progress
 from rich.console import Console
 
-from inhand.cli.common import Preset, load_kernels
+from inhand.cli.common import Preset, load_kernels, waiting
+from inhand.whole_file import write_whole
 
 if TYPE_CHECKING:
     from inhand.evaluation.contact_sheet import ContactSheet
@@ -100,7 +101,7 @@ def run(args: Bench) -> int:
     from inhand.evaluation.bop_export import write_bop_results
     from inhand.evaluation.contact_sheet import worst_frames
     from inhand.evaluation.machine import origin
-    from inhand.evaluation.report import print_comparison, print_summary
+    from inhand.evaluation.printing import print_comparison, print_summary
     from inhand.evaluation.results import Ledger
     from inhand.evaluation.shards import Shard
     from inhand.evaluation.summary import summarise
@@ -128,7 +129,7 @@ def run(args: Bench) -> int:
     if args.ray:
         scored = map_on_ray(make_scorer, jobs)
     else:
-        with console.status("Building the model of the hand (from the cache next time)"):
+        with waiting(console, "Building the model of the hand (from the cache next time)"):
             scored = map(make_scorer(), jobs)
     keys = [key_of(file, m, p) for m, p in runs for file in files]
     finished = _run_with_progress(ledger.record(scored), keys, ledger, console)
@@ -159,7 +160,7 @@ def _write_summary(
     content: Mapping[str, Any] = {"methods": summaries}
     if len(summaries) == 1:
         (content,) = summaries.values()
-    path.write_text(json.dumps({"settings": settings, **content}, indent=2) + "\n")
+    write_whole(path, json.dumps({"settings": settings, **content}, indent=2) + "\n")
 
 
 def _tell_sweeps(results: Sequence["FrameResult"], path: Path, console: Console) -> None:
@@ -170,7 +171,7 @@ def _tell_sweeps(results: Sequence["FrameResult"], path: Path, console: Console)
     found = sweep_tables(results)
     for table in found:
         console.print(tables.terminal(table))
-    path.write_text("\n".join(tables.markdown(table, table.title) for table in found))
+    write_whole(path, "\n".join(tables.markdown(table, table.title) for table in found))
     console.print(f"Wrote {path}")
 
 

@@ -29,9 +29,9 @@ def run(args: Demo) -> int:
     """
     from rich.console import Console
 
-    from inhand.cli.common import load_kernels, print_estimate
+    from inhand.cli.common import load_kernels, print_estimate, waiting
     from inhand.estimator import PoseEstimator
-    from inhand.io import with_folder
+    from inhand.io import write_picture
     from inhand.kernels.launch import resolve_device
     from inhand.picture import draw_estimate
     from inhand.synth.demo import demo_scene
@@ -39,17 +39,17 @@ def run(args: Demo) -> int:
     console = Console()
     device = resolve_device(args.device)
     load_kernels(device, console)
-    with console.status("Making the scene"):
+    with waiting(console, "Making the scene"):
         scene = demo_scene(device)
     estimator = PoseEstimator(scene.hand, scene.obj, device=device)
     estimate = estimator.estimate(scene.depth, scene.camera, scene.T_camera_hand_given)
-    print_estimate(estimate, console)
+    print_estimate(estimate, scene.obj, console)
     if estimate.found:
         _print_errors(estimate, scene, console)
     picture = draw_estimate(
         estimate, scene.hand, scene.obj, scene.depth, scene.camera, device=device
     )
-    with_folder(args.out, picture.save)
+    write_picture(args.out, picture)
     console.print(f"The picture is {args.out}", highlight=False)
     return 0 if estimate.found else 1
 
@@ -58,7 +58,8 @@ def _print_errors(estimate: "PoseEstimate", scene: "Scene", console: "Console") 
     """Print how far the estimate is from the truth of the scene."""
     from math import degrees
 
-    from inhand.evaluation.metrics import ObjectMetric, angle_errors, wrist_error
+    from inhand.evaluation.hand_errors import angle_errors, wrist_error
+    from inhand.evaluation.metrics import ObjectMetric
 
     assert estimate.T_camera_object is not None
     assert estimate.T_camera_hand is not None

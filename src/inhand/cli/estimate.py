@@ -50,10 +50,10 @@ def run(args: Estimate) -> int:
     from rich.console import Console
 
     from inhand.camera import Camera
-    from inhand.cli.common import load_kernels, make_config, print_estimate
+    from inhand.cli.common import load_kernels, make_config, print_estimate, waiting
     from inhand.estimator import PoseEstimator
     from inhand.hand import Hand
-    from inhand.io import read_colour, read_depth, read_transform, with_folder, write_result
+    from inhand.io import read_colour, read_depth, read_transform, write_picture, write_result
     from inhand.kernels.launch import resolve_device
     from inhand.object_model import ObjectModel
     from inhand.picture import draw_estimate
@@ -67,16 +67,18 @@ def run(args: Estimate) -> int:
     T_camera_hand = read_transform(args.hand_pose)
     device = resolve_device(args.device)
     load_kernels(device, progress)
-    with progress.status("Building the models of hand and object (from the cache next time)"):
+    with waiting(progress, "Building the models of hand and object (from the cache next time)"):
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
     estimate = PoseEstimator(hand, obj, config=config, device=device).estimate(
         depth, camera, T_camera_hand
     )
-    print_estimate(estimate, console)
+    print_estimate(estimate, obj, console)
     if args.out is not None:
         write_result(args.out, estimate)
     if args.picture is not None:
         picture = draw_estimate(estimate, hand, obj, depth, camera, colour=colour, device=device)
-        with_folder(args.picture, picture.save)
+        write_picture(args.picture, picture)
+    if written := [str(path) for path in (args.out, args.picture) if path is not None]:
+        progress.print(f"Wrote {' and '.join(written)}", highlight=False, markup=False)
     return 0 if estimate.found else 1

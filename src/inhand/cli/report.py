@@ -7,6 +7,8 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from inhand.cli.common import waiting
+
 
 @dataclass(frozen=True)
 class Report:
@@ -49,9 +51,9 @@ def run(args: Report) -> int:
     from inhand.evaluation.study import load_study
 
     console = Console()
-    with console.status("Reading the results"):
+    with waiting(console, "Reading the results"):
         study = load_study(args.results)
-    with console.status("Making the report"):
+    with waiting(console, "Making the report"):
         report = make_report(study, args.title, args.reference, args.pictures)
         written = write_report(report, args.out)
     for remark in report.remarks:

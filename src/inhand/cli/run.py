@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from inhand.cli.common import Preset
+from inhand.cli.common import Preset, waiting
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,6 +50,9 @@ class Run:
     """Also show the images and results on a web page, as they come; it stays until Ctrl-C."""
     port: int | None = None
     """Port of that page. Default: 8080."""
+    host: str | None = None
+    """Address that the page's server listens on; 0.0.0.0 lets other machines in. Default:
+    127.0.0.1."""
     rate: float | None = None
     """Play a recording back in real time (1.0), or slower or faster, and drop what comes while an
     image is being processed. Default: every image, as fast as it goes."""
@@ -102,7 +105,7 @@ def run(args: Run) -> int:
     _check_options(args)
     console = Console(stderr=True)
     device = resolve_device(args.device)
-    with console.status(f"Opening {args.source}"):
+    with waiting(console, f"Opening {args.source}"):
         source = open_source(args.source, _stream_config(args))
     try:
         for line in source.description:
@@ -119,6 +122,8 @@ def _check_options(args: Run) -> None:
 
     if args.port is not None and not args.view:
         raise InputError("--port is the port of the page: give --view too, or leave it out")
+    if args.host is not None and not args.view:
+        raise InputError("--host is the address of the page: give --view too, or leave it out")
     if args.bag_kind is not None and args.bag is None:
         raise InputError("--bag-kind is the kind of a recording: give --bag PATH too")
 
@@ -132,7 +137,7 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
     runner.check_pace(source, args.rate, args.limit)
     paths = _output_paths(args, source)
     load_kernels(device, console)
-    with console.status("Building the models of hand and object (from the cache next time)"):
+    with waiting(console, "Building the models of hand and object (from the cache next time)"):
         hand = Hand.from_urdf(args.hand, package_paths=args.package_paths)
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
     estimate = _make_estimate(args, hand, obj, device)
@@ -146,6 +151,10 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
             if problem := summary.first_problem:
                 message = f"The first that could not be estimated: {problem}"
                 console.print(message, highlight=False, markup=False)
+            if (missed := summary.first_not_found) and not summary.counts.found:
+                console.print(
+                    f"The first without an answer: {missed}", highlight=False, markup=False
+                )
             return summary
         finally:
             console.print(f"Results: {', '.join(map(str, paths))}", highlight=False, markup=False)
@@ -236,13 +245,14 @@ def _page(
         return
     from inhand.cli.common import make_config
     from inhand.errors import InputError
-    from inhand.viewer.server import PORT
+    from inhand.viewer.server import HOST, PORT
     from inhand.viewer.stream_output import PageOutput, StagesKept
 
     kept = estimate if isinstance(estimate, StagesKept) else None
+    host = HOST if args.host is None else args.host
     port = PORT if args.port is None else args.port
     config = make_config(args.preset, args.seed)
-    page = PageOutput(hand, obj, port, config, device, kept)
+    page = PageOutput(hand, obj, host, port, config, device, kept)
     console.print(f"Page: {page.address}", highlight=False, markup=False)
     try:
         yield [page]

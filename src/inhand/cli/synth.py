@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from inhand.cli.common import load_kernels
+from inhand.cli.common import load_kernels, waiting
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -92,7 +92,7 @@ def run(args: Synth) -> int:
     plan = _plan(args)
     device = resolve_device(args.device)
     load_kernels(device, console)
-    with console.status("Building the models of hand and objects (from the cache next time)"):
+    with waiting(console, "Building the models of hand and objects (from the cache next time)"):
         start(args.out, plan)
     jobs = missing_images(args.out, plan)
     total = len(plan.scene_ids()) * plan.number
@@ -103,7 +103,7 @@ def run(args: Synth) -> int:
         text = f"Stopped with {total - left} of {total} images; the same command goes on from there"
         console.print(f"[yellow]{text}[/yellow]")
         return INTERRUPTED
-    with console.status("Writing the scenes' ground truth"):
+    with waiting(console, "Writing the scenes' ground truth"):
         finish(args.out, plan)
     console.print(f"{total} images are in {args.out}", highlight=False)
     return 0

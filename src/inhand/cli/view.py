@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from inhand.cli.common import Preset, load_kernels, make_config
+from inhand.cli.common import Preset, load_kernels, make_config, waiting
 
 if TYPE_CHECKING:
     from inhand.viewer.opening import Opened
@@ -81,7 +81,7 @@ def run(args: View) -> int:
     device = resolve_device(args.device)
     with serving("inhand", host=args.host, port=args.port) as server:
         load_kernels(device, console)
-        with console.status("Building the models of hand and objects (from the cache next time)"):
+        with waiting(console, "Building the models of hand and objects (from the cache next time)"):
             opened = _open(args)
         config = opened.config or make_config(args.preset, args.seed)
         analyst = Analyst(opened.source.hand, config, device)

@@ -15,13 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inhand.datasets.exact import metres, millimetres, read_json, rigid, write_whole
+from inhand.datasets.exact import metres, millimetres, read_json, rigid
 from inhand.errors import InputError
 from inhand.geometry.mesh import TriangleMesh
 from inhand.object_model import ObjectModel
 from inhand.object_symmetry import Symmetry
+from inhand.whole_file import write_whole
 
 INFO = "models_info.json"
+SAME_BOX = 0.002
+"""Meshes of one object, such as one for looking at and one for evaluation, differ by less in their
+bounding boxes [m]."""
 _FOLDERS = ("models", "models_eval", "models_cad", "models_fine", "models_reconst")
 _FACE = np.dtype([("count", "u1"), ("index", "<i4", 3)])
 
@@ -66,6 +70,22 @@ def model_id(models: Path, name: str) -> int:
     return names[name]
 
 
+def model_alike(models: Path, mesh: TriangleMesh) -> int:
+    """Number of the object whose model fills the same box as a mesh, in the mesh's own frame.
+
+    Raises:
+        InputError: there is none, so the mesh is of another object, or has another origin.
+    """
+    corners = np.concatenate(mesh.bounds)
+    differences = {i: np.abs(_corners(models, i) - corners).max() for i in _info(models)}
+    best = min(differences, key=differences.__getitem__, default=None)
+    if best is None or differences[best] > SAME_BOX:
+        raise InputError(
+            f"the mesh is none of the models in {models}: no bounding box there is its own"
+        )
+    return best
+
+
 def load_model(models: Path, name: str) -> ObjectModel:
     """The object of a name, with the symmetries that the data set states.
 
@@ -95,6 +115,16 @@ def write_models(models: Path, objects: Mapping[int, ObjectModel]) -> None:
         write_whole(models / f"obj_{object_id:06d}.ply", _ply(obj.mesh))
     entries = [f'  "{i}": {_info_text(obj)}' for i, obj in objects.items()]
     write_whole(models / INFO, "{\n" + ",\n".join(entries) + "\n}\n")
+
+
+def _corners(models: Path, object_id: int) -> NDArray[np.float64]:
+    """The corners of a model's bounding box [m], lowest and highest, shape (6,)."""
+    info = _info(models)[object_id]
+    try:
+        low = metres(info[f"min_{axis}"] for axis in "xyz")
+        return np.concatenate([low, low + metres(info[f"size_{axis}"] for axis in "xyz")])
+    except (KeyError, ValueError) as error:
+        raise InputError(f"the box of object {object_id} in {models / INFO}: {error!r}") from error
 
 
 def _info(models: Path) -> dict[int, dict[str, Any]]:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from inhand.datasets.exact import metres, millimetres, rigid, write_whole
+from inhand.datasets.exact import metres, millimetres, rigid
 from inhand.errors import InputError
+from inhand.whole_file import write_whole
 
 _HEADER = ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
 

@@ -31,11 +31,11 @@ from inhand.datasets.bop import (
     HandInfo,
     HandTruth,
     Instance,
-    is_scene,
-    read_scene,
 )
-from inhand.datasets.exact import millimetres, read_json, write_whole
+from inhand.datasets.bop_scene import is_scene, read_scene
+from inhand.datasets.exact import millimetres, read_json
 from inhand.errors import InputError
+from inhand.whole_file import write_whole
 
 
 def write_image(scene: Path, image_id: int, image: BopImage) -> None:

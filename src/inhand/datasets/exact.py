@@ -1,7 +1,6 @@
-"""Numbers and files that survive writing and reading unchanged."""
+"""Numbers that survive writing and reading unchanged."""
 
 import json
-import os
 from collections.abc import Iterable
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -70,18 +69,3 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(fields, dict):
         raise InputError(f"{path} must hold a JSON object")
     return fields
-
-
-def write_whole(path: Path, data: bytes | str) -> None:
-    """Write a file that is there completely or not at all, also when the process is killed.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_bytes(data.encode() if isinstance(data, str) else data)
-        os.replace(unfinished, path)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}") from error

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from inhand.datasets import bop, bop_models
+from inhand.datasets import bop_frames, bop_models, bop_scene
 from inhand.datasets.frame import (
     LABEL_BACKGROUND,
     LABEL_HAND,
@@ -64,7 +64,7 @@ def find_frames(folders: Sequence[str | Path]) -> list[Path]:
             files = [folder]
         elif folder.is_dir():
             files = sorted(folder.glob("*.npz")) or sorted(folder.glob("*/*.npz"))
-            files = files or bop.find_frames(folder)
+            files = files or bop_frames.find_frames(folder)
         else:
             raise InputError(f"there is no folder of frames {folder}")
         if not files:
@@ -87,8 +87,10 @@ def frame_name(path: str | Path) -> str:
     BOP's are `DATASET/SCENE/IMAGE_INSTANCE`.
     """
     path = Path(path).resolve()
-    if bop.is_frame(path):
-        return f"{bop.dataset_folder(path.parents[1]).name}/{path.parents[1].name}/{path.stem}"
+    if bop_frames.is_frame(path):
+        return (
+            f"{bop_scene.dataset_folder(path.parents[1]).name}/{path.parents[1].name}/{path.stem}"
+        )
     return f"{path.parent.name}/{path.stem}"
 
 
@@ -99,8 +101,8 @@ def read_frame(path: str | Path) -> Frame:
         InputError: a file is missing, cut short, or does not fit the others.
     """
     path = Path(path)
-    if bop.is_frame(path):
-        return bop.read_frame(path, frame_name(path))
+    if bop_frames.is_frame(path):
+        return bop_frames.read_frame(path, frame_name(path))
     return read_npz(path, frame_name(path))
 
 
@@ -111,20 +113,20 @@ def object_name(path: str | Path) -> str:
         InputError: a file is missing, cut short, or lacks the name.
     """
     path = Path(path)
-    if bop.is_frame(path):
-        return bop.read_object_name(path)
+    if bop_frames.is_frame(path):
+        return bop_frames.read_object_name(path)
     return read_object_name(path)
 
 
 def find_hand(folder: str | Path, relative: str) -> Path | None:
     """URDF of the hand in a data set: the one a BOP data set names, or as by `find_upwards`."""
-    return bop.find_hand(Path(folder)) or find_upwards(folder, relative)
+    return bop_scene.find_hand(Path(folder)) or find_upwards(folder, relative)
 
 
 def find_objects(folder: str | Path, relative: str) -> Path | None:
     """Folder of a data set's object models: a BOP data set's, or as by `find_upwards`."""
-    scenes = bop.find_scenes(Path(folder))
-    if scenes and (models := bop_models.find_models(bop.dataset_folder(scenes[0]))):
+    scenes = bop_scene.find_scenes(Path(folder))
+    if scenes and (models := bop_models.find_models(bop_scene.dataset_folder(scenes[0]))):
         return models
     return find_upwards(folder, relative)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inhand.datasets import bop
+from inhand.datasets import bop_frames
 from inhand.datasets.bop_results import BopResult, write_results
 from inhand.evaluation.results import FrameResult
 
@@ -27,9 +27,9 @@ def write_bop_results(folder: Path, method: str, results: Iterable[FrameResult])
     by_split: dict[Path, list[BopResult]] = {}
     for result in results:
         path = Path(result.file).resolve()
-        if result.T_camera_object is not None and bop.is_frame(path):
+        if result.T_camera_object is not None and bop_frames.is_frame(path):
             answer = BopResult(
-                *bop.frame_target(path),
+                *bop_frames.frame_target(path),
                 score=result.confidence,
                 T_camera_object=np.array(result.T_camera_object),
                 seconds=-1.0 if result.seconds is None else result.seconds,

@@ -14,6 +14,7 @@ from inhand.datasets.frames import LABEL_HAND, LABEL_OBJECT, read_frame
 from inhand.evaluation.results import FrameResult
 from inhand.evaluation.summary import is_solved
 from inhand.hand import Hand
+from inhand.io import write_picture
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
 from inhand.overlay import HAND_COLOUR, NO_READING, Window, grey_depth, outline
@@ -67,13 +68,17 @@ class ContactSheet:
         self._object_renderers: dict[str, DepthRenderer] = {}
 
     def save(self, path: Path, results: Sequence[FrameResult]) -> None:
-        """Draw one picture a result, row by row, and write them to the image file `path`."""
+        """Draw one picture a result, row by row, and write them to the image file `path`.
+
+        Raises:
+            InputError: it cannot be written.
+        """
         tiles = [self.tile(result) for result in results]
         rows = -(-len(tiles) // COLUMNS)
         sheet = Image.new("RGB", (COLUMNS * TILE, rows * (TILE + 2 * _LINE)))
         for i, tile in enumerate(tiles):
             sheet.paste(tile, (i % COLUMNS * tile.width, i // COLUMNS * tile.height))
-        sheet.save(path)
+        write_picture(path, sheet)
 
     def tile(self, result: FrameResult) -> Image.Image:
         """The picture of one frame: its part of the depth image, contours, and a caption."""

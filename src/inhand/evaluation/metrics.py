@@ -4,7 +4,7 @@ MSSD, MSPD and their thresholds: Hodan et al., "BOP Challenge 2020 on 6D object 
 section 2.2.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -15,18 +15,15 @@ from scipy.spatial import KDTree
 
 from inhand.camera import Camera
 from inhand.evaluation import visible_surface
+from inhand.evaluation.symmetric_poses import nearest_symmetric, symmetric_poses
 from inhand.geometry.mesh import TriangleMesh, points_on_faces
-from inhand.geometry.se3 import inverse, rotation_angle, skew, transform
+from inhand.geometry.se3 import inverse, rotation_angle, transform
 from inhand.kernels.depth import DepthRenderer
 from inhand.object_model import ObjectModel
-from inhand.object_symmetry import Symmetry, rotations_about
 
 MODEL_POINTS = 5000
 """Points of the object model that ADI and ADD are averaged over."""
 
-SYMMETRY_STEPS = 315
-"""Rotations that stand for a continuous symmetry in MSSD and MSPD: apart from each other by 1 % of
-the diameter along the object's rim, as in BOP."""
 MSSD_THRESHOLDS = np.arange(1, 11) * 0.05
 """BOP's thresholds of MSSD, in diameters of the object."""
 MSPD_THRESHOLDS = np.arange(1, 11) * 5.0
@@ -191,7 +188,7 @@ class ObjectMetric:
 
     def add(self, T_estimate: Array, T_truth: Array) -> float:
         """ADD [m] to the nearest of the symmetric poses of the truth."""
-        symmetric = self.nearest_symmetric(T_estimate, T_truth)
+        symmetric = nearest_symmetric(self.model.symmetry, T_estimate, T_truth)
         return add(self.points, np.asarray(T_estimate, np.float64), symmetric)
 
     def mssd(self, T_estimate: Array, T_truth: Array) -> float:
@@ -206,7 +203,7 @@ class ObjectMetric:
             moved = points @ difference[:, :3, :3].swapaxes(1, 2) + difference[:, None, :3, 3]
             return np.asarray(np.linalg.norm(moved, axis=2))
 
-        alike = self._symmetric_poses(T_estimate, T_truth)
+        alike = symmetric_poses(self.model.symmetry, T_estimate, T_truth)
         return _smallest_maximum(distances, alike, self.model.mesh.hull_vertices)
 
     def mspd(self, T_estimate: Array, T_truth: Array, camera: Camera) -> float:
@@ -217,7 +214,7 @@ class ObjectMetric:
             focal = np.array([camera.fx, camera.fy])
             return np.asarray(np.linalg.norm(focal * (estimate - truth), axis=2))
 
-        alike = self._symmetric_poses(T_estimate, T_truth)
+        alike = symmetric_poses(self.model.symmetry, T_estimate, T_truth)
         mesh = self.model.mesh
         vertices = mesh.vertices[np.unique(mesh.faces)]
         if transform(T_estimate, vertices)[:, 2].min() <= 0:
@@ -231,13 +228,6 @@ class ObjectMetric:
         truth, estimate = (self._renderer.render(camera, T[None])[0] for T in (T_truth, T_estimate))
         return visible_surface.vsd(depth, truth, estimate, camera, self.model.mesh.diameter)
 
-    def _symmetric_poses(self, T_estimate: Array, T_truth: Array) -> Array:
-        """The poses that look like the truth, shape (k, 4, 4); of a sphere, the nearest one."""
-        symmetry = self.model.symmetry
-        if _is_sphere(symmetry):
-            return _turned_to(T_estimate, T_truth, symmetry.centre)[None]
-        return np.asarray(T_truth @ symmetry.representatives(SYMMETRY_STEPS))
-
     def pose_error(self, T_estimate: Array, T_truth: Array) -> PoseError:
         """Error up to the object's symmetries.
 
@@ -246,25 +236,9 @@ class ObjectMetric:
         """
         centre = np.asarray(self.model.symmetry.centre, dtype=np.float64)[None]
         moved = transform(T_estimate, centre) - transform(T_truth, centre)
-        symmetric = self.nearest_symmetric(T_estimate, T_truth)
+        symmetric = nearest_symmetric(self.model.symmetry, T_estimate, T_truth)
         angle = rotation_angle(T_estimate[:3, :3], symmetric[:3, :3])
         return PoseError(float(np.linalg.norm(moved)), float(angle))
-
-    def nearest_symmetric(self, T_estimate: Array, T_truth: Array) -> Array:
-        """The pose, (4, 4), among those that look like the truth, whose rotation is nearest."""
-        symmetry = self.model.symmetry
-        if _is_sphere(symmetry):
-            return _turned_to(T_estimate, T_truth, symmetry.centre)
-        alike = T_truth @ symmetry.rotations
-        if symmetry.axis is not None:
-            angles = _nearest_spin((inverse(alike) @ T_estimate)[:, :3, :3], symmetry.axis)
-            alike = alike @ rotations_about(symmetry.centre, symmetry.axis, angles)
-        differences = rotation_angle(alike[:, :3, :3], T_estimate[None, :3, :3])
-        return np.asarray(alike[np.argmin(differences)])
-
-
-def _is_sphere(symmetry: Symmetry) -> bool:
-    return symmetry.axis is not None and len(symmetry.rotations) > 2
 
 
 def _smallest_maximum(
@@ -289,37 +263,3 @@ def _project(T: Array, points: Array) -> Array:
     """Points (n, 3) moved by poses (k, 4, 4) and projected at focal length 1, shape (k, n, 2)."""
     moved = points @ T[:, :3, :3].swapaxes(1, 2) + T[:, None, :3, 3]
     return np.asarray(moved[..., :2] / moved[..., 2:])
-
-
-def _nearest_spin(R: Array, axis: Array) -> Array:
-    """Angles [rad] of the rotations about `axis` that are nearest to R, shape (k, 3, 3).
-
-    S(a) = cos a I + sin a K + (1 - cos a) axis axis' maximises trace(S(a)' R) at
-    a = atan2(<K, R>, trace R - axis' R axis).
-    """
-    along = np.einsum("i,kij,j->k", axis, R, axis)
-    return np.arctan2(np.einsum("ij,kij->k", skew(axis), R), np.trace(R, axis1=1, axis2=2) - along)
-
-
-def _turned_to(T_estimate: Array, T_truth: Array, centre: Array) -> Array:
-    """The truth, turned about the object's centre to the estimate's rotation."""
-    turned = np.array(T_estimate)
-    turned[:3, 3] += transform(T_truth, centre[None])[0] - transform(T_estimate, centre[None])[0]
-    return turned
-
-
-def wrist_error(T_estimate: Array, T_truth: Array) -> PoseError:
-    """Error of a wrist pose, measured at the origin of the hand frame."""
-    return PoseError(
-        float(np.linalg.norm(T_estimate[:3, 3] - T_truth[:3, 3])),
-        float(rotation_angle(T_estimate[:3, :3], T_truth[:3, :3])),
-    )
-
-
-def angle_errors(estimate: Mapping[str, float], truth: Mapping[str, float]) -> dict[str, float]:
-    """Absolute error [rad], 0 to pi, of the joints that both name; whole turns do not count."""
-    return {
-        name: abs((estimate[name] - truth[name] + np.pi) % (2 * np.pi) - np.pi)
-        for name in truth
-        if name in estimate
-    }

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from inhand.evaluation import tables
-from inhand.evaluation.contents import Item, Section
 from inhand.evaluation.results import Record
+from inhand.evaluation.sections import Item, Section
 from inhand.evaluation.tables import Table
+from inhand.whole_file import write_whole
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1b1f24; max-width: 72rem; margin: 2rem auto;
@@ -83,7 +84,11 @@ class Report:
 
 
 def write_report(report: Report, folder: Path) -> list[Path]:
-    """Write `report.html`, `tables.md` and `figures/*.svg`, and return their paths."""
+    """Write `report.html`, `tables.md` and `figures/*.svg`, and return their paths.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
     files: dict[Path, str] = {
         folder / "report.html": _page(report),
         folder / "tables.md": _markdown(report),
@@ -92,8 +97,7 @@ def write_report(report: Report, folder: Path) -> list[Path]:
         if isinstance(item.content, str):
             files[folder / "figures" / f"{item.name}.svg"] = _described(item, report.records)
     for path, text in files.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     return list(files)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from inhand.errors import InputError
+from inhand.whole_file import write_whole
 
 JOINT_PIXELS = 500
 """A joint's angle counts when its link shows more pixels than this."""
@@ -188,18 +189,29 @@ class Ledger:
             text = path.read_text() if path.exists() and not restart else ""
             kept = _complete(text) or json.dumps({"settings": settings}) + "\n"
             if kept != text:
-                path.write_text(kept)
+                write_whole(path, kept)
         except OSError as error:
             raise InputError(f"cannot write the results to {path}: {error.strerror}") from error
         self._load(settings)
 
     def append(self, result: FrameResult) -> None:
-        """Write one result."""
-        with self.path.open("a") as file:
-            if self._origin is not None:
-                file.write(json.dumps({"origin": self._origin}) + "\n")
-                self._origin = None
-            file.write(json.dumps(asdict(result)) + "\n")
+        """Write one result.
+
+        Raises:
+            InputError: it cannot be written; those before it are on disk.
+        """
+        entries = (
+            [asdict(result)] if self._origin is None else [{"origin": self._origin}, asdict(result)]
+        )
+        try:
+            with self.path.open("a") as file:
+                file.writelines(json.dumps(entry) + "\n" for entry in entries)
+        except OSError as error:
+            raise InputError(
+                f"cannot write the results to {self.path}: {error.strerror or error}; those until "
+                "then are there, and the same command goes on from them"
+            ) from error
+        self._origin = None
         self.results[result.key] = result
 
     def found(self, keys: Iterable[Key]) -> list[FrameResult]:

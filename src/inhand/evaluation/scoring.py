@@ -15,7 +15,8 @@ from inhand.evaluation.diagnosis import (
     stage_to_blame,
     stages_reached,
 )
-from inhand.evaluation.metrics import ObjectMetric, PoseError, angle_errors, wrist_error
+from inhand.evaluation.hand_errors import angle_errors, wrist_error
+from inhand.evaluation.metrics import ObjectMetric, PoseError
 from inhand.evaluation.results import FrameResult
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from statistics import median
 
-from inhand.evaluation.report import NOTHING, percent
+from inhand.evaluation.cells import NOTHING, percent
 from inhand.evaluation.results import FrameResult
 from inhand.evaluation.statistics import auroc
 from inhand.evaluation.summary import data_set, is_solved, solved_share

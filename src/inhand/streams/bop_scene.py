@@ -1,22 +1,18 @@
 """A scene of a BOP data set as a source, such as the sequences of `inhand synth --sequence`."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from inhand.camera import Camera
-from inhand.datasets.bop import (
-    CAMERA,
-    HAND,
-    SceneFiles,
-    find_scenes,
-    is_scene,
-    read_camera,
-    read_scene,
-    read_sensed,
-    read_time,
-)
+from inhand.datasets.bop import CAMERA, HAND
+from inhand.datasets.bop_frames import frame_of_object, read_frame
+from inhand.datasets.bop_images import read_camera, read_sensed, read_time
+from inhand.datasets.bop_scene import SceneFiles, find_scenes, is_scene, read_scene
+from inhand.datasets.frame import Frame as LabelledFrame
 from inhand.errors import InputError
+from inhand.object_model import ObjectModel
 from inhand.streams.bag import BagKind
 from inhand.streams.config import StreamConfig
 from inhand.streams.given_camera import check_fits
@@ -82,7 +78,13 @@ class BopScene:
             return Frame(str(number), time_ns, FRAME_ID, self._camera, None, T, str(error))
         T = image.T_camera_hand if T is None else T
         camera = self._config.camera or image.camera
-        return Frame(str(number), time_ns, FRAME_ID, camera, image.depth, T)
+        frame = Frame(str(number), time_ns, FRAME_ID, camera, image.depth, T)
+        return replace(frame, read_truth=partial(self._labelled, number, frame))
+
+    def _labelled(self, number: int, given: Frame, obj: ObjectModel) -> LabelledFrame:
+        """The image with the truth of an object; camera and wrist as they were given."""
+        path = frame_of_object(self._files, number, obj.mesh)
+        return replace(read_frame(path, given.name), camera=given.camera, wrist=given.T_camera_hand)
 
 
 def _any_camera(files: SceneFiles, images: Sequence[int]) -> Camera:

@@ -62,7 +62,7 @@ class Folder:
     def __init__(self, path: Path, config: StreamConfig) -> None:
         self.name = str(path)
         self._images = find_images(path)
-        self._camera = config.camera or Camera.from_json(path / CAMERA)
+        self._camera = config.camera or _read_camera(path / CAMERA)
         self._entries, wrist_from = self._find_poses(path, config)
         told = [self._entries.get(image.stem, UNKNOWN).time for image in self._images]
         self._times = image_times(told, config.frame_rate, str(path / POSES))
@@ -109,6 +109,12 @@ class Folder:
         raise InputError(
             f"{path} tells no wrist pose: expected {POSES} or {POSE} in it, or --hand-pose FILE"
         )
+
+
+def _read_camera(path: Path) -> Camera:
+    if not path.exists():
+        raise InputError(f"there are no intrinsics {path}: write them there, or give --camera FILE")
+    return Camera.from_json(path)
 
 
 def is_folder_of_images(path: Path) -> bool:

@@ -41,15 +41,16 @@ class ResultsBag:
         self._path, self._broken = path, False
         self._messages = ResultMessages(types, kind, obj)
         self._serialise = types.serialize_ros1 if kind == "ros1" else types.serialize_cdr
+        self._writer = _make_writer(path, kind)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = _make_writer(path, kind)
             self._writer.open()
             self._topics = {
                 topic: self._writer.add_connection(topic, name, typestore=types)
                 for topic, name in TYPE_OF_TOPIC.items()
             }
         except FAULTS as error:
+            self._abort()
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"cannot write {path}: {reason}") from error
 
@@ -74,13 +75,17 @@ class ResultsBag:
     def _give_up(self, error: Exception) -> InputError:
         """Leave what is written as it is: a recording without its index."""
         self._broken = True
-        with suppress(Exception):
-            self._writer.abort()
+        self._abort()
         reason = getattr(error, "strerror", None) or error
         return InputError(
             f"cannot write {self._path}: {reason}; it is cut short, and the results up to there "
             "are in the JSON lines"
         )
+
+    def _abort(self) -> None:
+        """Close the file, whose rest may not fit on the disk."""
+        with suppress(Exception):
+            self._writer.abort()
 
 
 def _make_writer(path: Path, kind: BagKind) -> rosbag1.Writer | rosbag2.Writer:

@@ -65,6 +65,8 @@ class Summary:
     """Why the run ended before the source did; empty if it did not."""
     first_problem: str = ""
     """The first image that could not be estimated, and why; empty if all could."""
+    first_not_found: str = ""
+    """The first image that was estimated without an answer, and why; empty if all have one."""
 
     def as_dict(self) -> dict[str, Any]:
         """The summary in JSON's types."""
@@ -73,6 +75,7 @@ class Summary:
             **asdict(self.counts),
             "stopped": self.stopped,
             "first_problem": self.first_problem,
+            "first_not_found": self.first_not_found,
         }
 
 
@@ -122,7 +125,8 @@ def run(
             written, and the rest is written.
         KeyboardInterrupt: Ctrl-C; all results are written.
     """
-    counts, stopped, first_problem = Counts(), "it broke off unexpectedly", ""
+    counts, stopped = Counts(), "it broke off unexpectedly"
+    first_problem = first_not_found = ""
     try:
         check_pace(source, rate, limit)
         arrivals: Iterator[Arrival] = source.arrivals()
@@ -133,6 +137,7 @@ def run(
             with interrupt_held():
                 counts = _count(counts, result)
                 first_problem = first_problem or _problem(result)
+                first_not_found = first_not_found or _not_found(result)
                 for output in outputs:
                     output.write(result)
             report(counts)
@@ -145,7 +150,7 @@ def run(
         stopped = str(error)
         raise
     finally:
-        summary = Summary(source.name, counts, stopped, first_problem)
+        summary = Summary(source.name, counts, stopped, first_problem, first_not_found)
         with interrupt_held():
             _finish(outputs, summary)
     return summary
@@ -181,6 +186,13 @@ def _problem(result: Result) -> str:
     """Why an image could not be estimated, a sentence with its name; empty if it could."""
     frame = result.frame
     return f"image {frame.name}: {frame.problem}" if frame.problem else ""
+
+
+def _not_found(result: Result) -> str:
+    """Why an image that could be estimated has no answer, with its name; empty if it has one."""
+    if result.frame.problem or result.estimate.found:
+        return ""
+    return f"image {result.frame.name}: {result.estimate.reason}"
 
 
 def _count(counts: Counts, result: Result) -> Counts:

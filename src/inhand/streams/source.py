@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
+from inhand.datasets.frame import Frame as LabelledFrame
+from inhand.object_model import ObjectModel
 from inhand.streams.bag import BagKind
 
 
@@ -29,6 +31,9 @@ class Frame:
     """Approximate wrist pose, shape (4, 4); None if the source has none for this image."""
     problem: str = ""
     """Why `depth` or `T_camera_hand` is None, a sentence for a person."""
+    read_truth: Callable[[ObjectModel], LabelledFrame] | None = field(default=None, repr=False)
+    """Reads the image again with the ground truth of an object, for who shows it; raises InputError
+    where that is not known or broken. None: the source has no ground truth."""
 
 
 @dataclass(frozen=True)

@@ -15,22 +15,17 @@ from pathlib import Path
 import numpy as np
 
 from inhand.builtin.hand import write_hand
-from inhand.datasets.bop import (
-    DEPTH_UNIT,
-    BopImage,
-    HandInfo,
-    HandTruth,
-    Instance,
-    is_scene,
-)
+from inhand.datasets.bop import DEPTH_UNIT, BopImage, HandInfo, HandTruth, Instance
 from inhand.datasets.bop_models import write_models
+from inhand.datasets.bop_scene import is_scene
 from inhand.datasets.bop_writer import finish_scene, is_written, write_dataset_files, write_image
-from inhand.datasets.exact import read_json, write_whole
+from inhand.datasets.exact import read_json
 from inhand.errors import InputError
 from inhand.synth.plan import Plan, hand_urdf, load_hand, load_object, scene_folder
 from inhand.synth.renderer import BACKGROUND_BODY, OBJECT_BODY
 from inhand.synth.scene import HAND_COLOURS, OBJECT_COLOURS, Scene, SceneMaker
 from inhand.synth.sequence import SequenceMaker
+from inhand.whole_file import write_whole
 
 PLAN = "synth.json"
 """File in the data set's folder that holds its plan."""
@@ -61,9 +56,17 @@ def start(folder: Path, plan: Plan) -> None:
         load_hand(folder, plan)
     write_whole(folder / PLAN, json.dumps(fields, indent=1) + "\n")
     if plan.hand is None and not hand_urdf(folder, plan).is_file():
-        write_hand(folder / ".hand.unfinished")
-        os.replace(folder / ".hand.unfinished", folder / "hand")
+        _write_builtin_hand(folder / "hand")
     write_models(folder / "models", models)
+
+
+def _write_builtin_hand(place: Path) -> None:
+    unfinished = place.with_name(f".unfinished-{place.name}")
+    try:
+        write_hand(unfinished)
+        os.replace(unfinished, place)
+    except OSError as error:
+        raise InputError(f"cannot write {place}: {error.strerror or error}") from error
 
 
 def missing_images(folder: Path, plan: Plan) -> list[tuple[int, int]]:
@@ -104,7 +107,7 @@ class Workshop:
             self._make, self._scene_id = self._scene(scene_id), scene_id
         rng = np.random.default_rng([plan.seed, scene_id, image_id])
         scene, time = self._make(image_id, rng)
-        image = replace(_annotated(scene, 1 + plan.object_index(scene_id)), time=time)
+        image = replace(annotated(scene, 1 + plan.object_index(scene_id)), time=time)
         write_image(scene_folder(self._folder, scene_id), image_id, image)
 
     def _scene(
@@ -147,7 +150,7 @@ def finish(folder: Path, plan: Plan) -> None:
     write_dataset_files(folder, plan.camera, scenes)
 
 
-def _annotated(scene: Scene, object_id: int) -> BopImage:
+def annotated(scene: Scene, object_id: int) -> BopImage:
     """A scene as an image of a data set."""
     images = scene.images
     links = scene.hand.link_poses(scene.joint_positions)

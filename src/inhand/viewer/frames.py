@@ -34,6 +34,8 @@ class ViewedFrame:
     """Colour image with the same pixels, shape (H, W, 3), if there is one."""
     labelled: Frame | None = None
     """The frame with its ground truth, if there is any."""
+    remark: str = ""
+    """What else is to be said about it, a sentence for a person."""
 
     @classmethod
     def of_dataset(cls, frame: Frame) -> "ViewedFrame":

@@ -69,14 +69,17 @@ class LiveView:
         return address(self._server)
 
     def show(
-        self, frame: ViewedFrame, estimate: PoseEstimate, results: StageResults | None = None
+        self,
+        frame: ViewedFrame | Callable[[], ViewedFrame],
+        estimate: PoseEstimate,
+        results: StageResults | None = None,
     ) -> None:
         """Show an estimate; returns at once, and drops the one before if that was not drawn yet.
 
         While the user holds an image, that one stays; the newest follows when it is let go.
 
         Args:
-            frame: the frame.
+            frame: the frame, or what makes it, which is called only when it is drawn.
             estimate: its estimate.
             results: what the stages returned (`PoseEstimator.run`), to look at them as well.
         """
@@ -97,6 +100,10 @@ class LiveView:
             self._page.worker.submit("frame", self._newest)
 
     def _draw(
-        self, frame: ViewedFrame, estimate: PoseEstimate, results: StageResults | None
+        self,
+        frame: ViewedFrame | Callable[[], ViewedFrame],
+        estimate: PoseEstimate,
+        results: StageResults | None,
     ) -> None:
-        self._page.show(self._analyst.of_estimate(frame, self._obj, estimate, results))
+        drawn = frame() if callable(frame) else frame
+        self._page.show(self._analyst.of_estimate(drawn, self._obj, estimate, results))

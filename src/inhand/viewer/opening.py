@@ -6,7 +6,7 @@ from pathlib import Path
 
 from inhand.camera import Camera
 from inhand.config import EstimatorConfig
-from inhand.datasets.bop import is_frame
+from inhand.datasets.bop_frames import is_frame
 from inhand.datasets.frame import Frame, Truth
 from inhand.datasets.frames import find_frames, need_hand, need_objects, read_frame
 from inhand.errors import InputError

@@ -157,4 +157,6 @@ def _status(analysis: Analysis) -> str:
         lines[-1] += f"; {verdict.visible_share:.0%} of the object visible"
     if verdict is not None and verdict.lost_at is not None:
         lines.append(f"lost at: **{verdict.lost_at}**")
+    if analysis.frame.remark:
+        lines.append(f"⚠ {analysis.frame.remark}")
     return "  \n".join(lines)

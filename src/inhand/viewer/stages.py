@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from inhand.estimate import PoseEstimate
 from inhand.estimator import StageResults
-from inhand.evaluation.metrics import angle_errors, wrist_error
+from inhand.evaluation.hand_errors import angle_errors, wrist_error
 from inhand.evaluation.results import FrameResult
 from inhand.geometry.se3 import Array
 from inhand.kinematics import REVOLUTE

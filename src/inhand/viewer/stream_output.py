@@ -1,6 +1,10 @@
 """The results of a stream on a page, as they come, and how the stream ended."""
 
+from dataclasses import replace
+from functools import partial
+
 from inhand.config import EstimatorConfig
+from inhand.errors import InputError
 from inhand.estimate import PoseEstimate
 from inhand.estimator import PoseEstimator, StageResults
 from inhand.hand import Hand
@@ -40,7 +44,8 @@ class PageOutput:
     Args:
         hand: the hand.
         obj: the object.
-        port: port of the page, 0 for any that is free.
+        host: address that the page's server listens on.
+        port: its port, 0 for any that is free.
         config: the estimator's parameters.
         device: Warp device of the drawing.
         kept: the estimator, if its stages are to be seen.
@@ -53,22 +58,35 @@ class PageOutput:
         self,
         hand: Hand,
         obj: ObjectModel,
+        host: str,
         port: int,
         config: EstimatorConfig,
         device: str,
         kept: StagesKept | None = None,
     ) -> None:
-        self._view = LiveView(hand, obj, port=port, config=config, device=device)
-        self._kept, self._ending = kept, ""
+        self._view = LiveView(hand, obj, host=host, port=port, config=config, device=device)
+        self._hand, self._obj, self._kept, self._ending = hand, obj, kept, ""
         self.address = self._view.address
 
     def write(self, result: Result) -> None:
         """Show a result; what has no depth image is left out."""
-        frame = result.frame
-        if frame.depth is not None:
-            shown = ViewedFrame(frame.name, frame.depth, frame.camera, frame.T_camera_hand)
+        if result.frame.depth is not None:
             stages = None if self._kept is None else self._kept.stages_of(result.estimate)
-            self._view.show(shown, result.estimate, stages)
+            self._view.show(partial(self._viewed, result.frame), result.estimate, stages)
+
+    def _viewed(self, frame: Frame) -> ViewedFrame:
+        """An image with its ground truth, where that is known; read only if it is shown."""
+        assert frame.depth is not None
+        viewed = ViewedFrame(frame.name, frame.depth, frame.camera, frame.T_camera_hand)
+        if frame.read_truth is None:
+            return viewed
+        try:
+            labelled = frame.read_truth(self._obj)
+            labelled_too = replace(viewed, colour=labelled.rgb, labelled=labelled)
+            labelled_too.truth(self._hand)  # which may be another one, with other joints
+        except InputError as error:
+            return replace(viewed, remark=f"The ground truth cannot be shown: {error}")
+        return labelled_too
 
     def finish(self, summary: Summary) -> None:
         """Say that the run has ended, and what became of the images."""
