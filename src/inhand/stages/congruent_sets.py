@@ -18,8 +18,8 @@ from inhand.kernels.congruent_sets import (
     sample_bases,
 )
 from inhand.kernels.launch import launch
-from inhand.kernels.lcp import pose_lcp
 from inhand.packed import PackedObject
+from inhand.stages.lcp import segment_lcp
 from inhand.stages.results import PoseSet, Segment
 
 # The hash grid's cells along x, where the bases lie side by side, and across.
@@ -64,16 +64,7 @@ def generate_from_congruent_sets(
         )
     poses = search.align(bases, sets)
     stride = -(-len(segment.points) // config.lcp_points)
-    score = pose_lcp(
-        poses,
-        segment.points[::stride],
-        segment.normals[::stride],
-        obj.fields,
-        config.lcp_distance,
-        config.lcp_normal_angle,
-        obj.device,
-    )
-    return PoseSet(poses, score)
+    return PoseSet(poses, segment_lcp(poses, segment, obj, config, stride))
 
 
 class CongruentSetSearch:

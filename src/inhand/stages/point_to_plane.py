@@ -7,9 +7,9 @@ import warp as wp
 from inhand.config import RefinementConfig
 from inhand.kernels.depth import bounding_sphere
 from inhand.kernels.launch import launch
-from inhand.kernels.lcp import pose_lcp
 from inhand.kernels.point_to_plane import RigidModel, align_to_points
 from inhand.packed import PackedObject, device_poses
+from inhand.stages.lcp import segment_lcp
 from inhand.stages.results import PoseSet, Segment
 from inhand.stages.se3_clustering import leaders_of
 
@@ -19,15 +19,7 @@ def refine_by_icp(
 ) -> PoseSet:
     """Refined, distinct poses with the highest LCP, best first."""
     refined = align_model(poses, segment, obj, config)
-    score = pose_lcp(
-        refined,
-        segment.points,
-        segment.normals,
-        obj.fields,
-        config.lcp_distance,
-        config.lcp_normal_angle,
-        obj.device,
-    )
+    score = segment_lcp(refined, segment, obj, config)
     order = np.argsort(-score, kind="stable")
     ranked = PoseSet(refined[order], score[order])
     everywhere = np.zeros(1, dtype=np.int32)
