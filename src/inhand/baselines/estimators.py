@@ -49,7 +49,8 @@ def ablation() -> dict[str, EstimatorConfig]:
     The first five are the paper's ablation: random bases on the whole scene cloud, the hand removed
     with its estimated state, the PPF constraint, heuristic sampling, and pruning by physics and
     rendering, which completes the paper's method. Each of the others replaces one of its stages by
-    this project's; the last one, which leaves physics to the likelihood, is the default method.
+    this project's; the likelihood leaves nothing to pruning. With its first and second look, the
+    last one is the default method.
     """
     default, paper = EstimatorConfig(), EstimatorConfig.paper()
     # Without the features, a base's pairs are like many more pairs of the model.
@@ -74,6 +75,7 @@ def ablation() -> dict[str, EstimatorConfig]:
         ("pairs", {"hypotheses": default.hypotheses, "clustering": default.clustering}),
         ("field-refinement", {"refinement": default.refinement}),
         ("likelihood", {"pruning": default.pruning, "selection": default.selection}),
+        ("looks", {"first_look": default.first_look, "second_look": default.second_look}),
     ):
         config = replace(config, **changes)
         steps[f"ablation-{name}"] = config

@@ -21,6 +21,7 @@ NEAREST = 1e-3
 """Smaller depths are no readings [m]; their inverses would overflow."""
 STEEPEST = 1.5
 """Rays are no steeper than this against the optical axis [rad]."""
+DIRECTION = "T_camera_hand maps points of the hand to the camera, not the other way"
 EVERY = 5
 """Every so-many-th reading is looked at for what holds all over the image."""
 
@@ -190,7 +191,7 @@ def _window(
 ) -> tuple[int, int, int, int]:
     """Image rectangle (u0, v0, u1, v1) of the sphere."""
     if centre[2] <= 0.01:
-        raise NoAnswer("the wrist pose puts the hand behind the camera")
+        raise NoAnswer(f"the wrist pose puts the hand behind the camera; {DIRECTION}")
     spans = []
     for x, f, c, size in (
         (centre[0], camera.fx, camera.cx, camera.width),
@@ -206,7 +207,7 @@ def _window(
     if u1 - u0 < 8 or v1 - v0 < 8:
         raise NoAnswer(
             f"the wrist pose puts the hand outside the image, or too far away ({centre[2]:.2f} m) "
-            "to be seen in it"
+            f"to be seen in it; {DIRECTION}"
         )
     return u0, v0, u1, v1
 
