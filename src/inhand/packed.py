@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from inhand.camera import Camera
 from inhand.hand import Hand
-from inhand.kernels.depth import DepthRenderer, bounding_sphere, pinhole
+from inhand.kernels.depth import DepthRenderer, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.kinematics import Chain, pose_links
@@ -34,7 +34,6 @@ class PackedHand:
         points, normals: surface samples of all links, link frames, `wp.vec3`.
         link: index of the link of every sample, int.
         point_start: first sample of every link, and the end of the last, numpy (L + 1,).
-        spheres: bounding sphere of every link, link frame (centre, radius) [m], `wp.vec4`.
         chain: the kinematics, `kernels.kinematics.Chain`.
         lower, upper: limits of the independent joints [rad, m], float64 (n).
         is_palm: whether each link is rigid with the root, numpy (L,).
@@ -47,19 +46,17 @@ class PackedHand:
     def __init__(self, hand: Hand, device: str) -> None:
         self.hand = hand
         self.device = device
-        self.fields = pack_fields([link.distance_field for link in hand.links], device)
-        counts = [len(link.surface.points) for link in hand.links]
+        self.fields = pack_fields(
+            [link.distance_field for link in hand.links], [link.mesh for link in hand.links], device
+        )
+        surfaces = [link.surface for link in hand.links]
+        self.points, self.normals = (
+            wp.array(np.concatenate(vectors), dtype=wp.vec3, device=device)
+            for vectors in ([x.points for x in surfaces], [x.normals for x in surfaces])
+        )
+        counts = [len(surface.points) for surface in surfaces]
         self.point_start = np.cumsum([0, *counts])
-        self.points = wp.array(
-            np.concatenate([x.surface.points for x in hand.links]), dtype=wp.vec3, device=device
-        )
-        self.normals = wp.array(
-            np.concatenate([x.surface.normals for x in hand.links]), dtype=wp.vec3, device=device
-        )
         self.link = wp.array(np.repeat(np.arange(len(counts)), counts), dtype=int, device=device)
-        self.spheres = wp.array(
-            [bounding_sphere(link.mesh) for link in hand.links], dtype=wp.vec4, device=device
-        )
         self.chain = pack_chain(hand.chain, device)
         self.lower, self.upper = (
             wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
@@ -195,7 +192,7 @@ class PackedObject:
     def __init__(self, model: ObjectModel, device: str) -> None:
         self.model = model
         self.device = device
-        self.fields = pack_fields([model.distance_field], device)
+        self.fields = pack_fields([model.distance_field], [model.mesh], device)
         self.points = wp.array(model.surface.points, dtype=wp.vec3, device=device)
         self.normals = wp.array(model.surface.normals, dtype=wp.vec3, device=device)
         self.pairs = pairs = PairTable()

@@ -9,7 +9,6 @@ from inhand.kernels.transforms import to_local
 @wp.func
 def nearest_body(
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     T_world_body: wp.array(dtype=wp.mat44),
     first_pose: int,
     used: wp.array(dtype=int),
@@ -22,18 +21,17 @@ def nearest_body(
     Distances from `farthest` on are cut off there, with a zero gradient and index -1.
 
     Args (beyond the obvious):
-        spheres: bounding sphere of every body, body frame (centre, radius) [m].
         T_world_body: poses, those of interest from `first_pose` on.
         used: per body, from `first_used` on; 0 leaves it out.
     """
     best = farthest
     nearest = int(-1)
     gradient = wp.vec3(0.0, 0.0, 0.0)
-    for body in range(spheres.shape[0]):
+    for body in range(fields.start.shape[0]):
         if used[first_used + body] == 0:
             continue
         T = T_world_body[first_pose + body]
-        s = spheres[body]
+        s = fields.sphere[body]
         offset = p - wp.transform_point(T, s[:3])
         bound = s[3] + wp.max(best, 0.0)
         if wp.dot(offset, offset) > bound * bound:

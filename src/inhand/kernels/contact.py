@@ -12,7 +12,6 @@ def link_clearances(
     points: wp.array(dtype=wp.vec3),
     n_points: int,
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     T_camera_link: wp.array(dtype=wp.mat44),
     farthest: float,
     clearance: wp.array(dtype=float),
@@ -23,18 +22,17 @@ def link_clearances(
 
     Args (beyond the obvious):
         points: surface samples of the object, object frame; the first `n_points` are used.
-        spheres: bounding sphere of every link, link frame (centre, radius) [m].
         farthest: larger distances are cut off here [m].
         clearance: out, flat (pose, link); negative is the depth of the penetration.
     """
     i = first + wp.tid()
-    n_links = spheres.shape[0]
+    n_links = fields.start.shape[0]
     link = i % n_links
     T_object = T_camera_object[i // n_links]
     T_link = T_camera_link[link]
     inverse = wp.transpose(T_link[:3, :3])
     T = rigid(inverse @ T_object[:3, :3], to_local(T_link, T_object[:3, 3]))
-    s = spheres[link]
+    s = fields.sphere[link]
     # The sphere goes to the points: most of them need no transform then.
     centre = to_local(T, s[:3])
     nearest = farthest

@@ -29,8 +29,6 @@ class FitProblem:
     """Scene points [m], camera frame."""
     normals: wp.array(dtype=wp.vec3)
     fields: Fields
-    spheres: wp.array(dtype=wp.vec4)
-    """Bounding sphere of every link's field, link frame (centre, radius) [m]."""
     hand_points: wp.array(dtype=wp.vec3)
     """Surface samples of the links [m], link frames."""
     hand_normals: wp.array(dtype=wp.vec3)
@@ -96,7 +94,7 @@ def add_scene_terms(problem: FitProblem, state: FitState, start: int):
     for i in range(0, problem.points.shape[0], problem.stride):
         p = problem.points[i]
         distance, gradient, k = nearest_body(
-            problem.fields, problem.spheres, state.T_camera_link, start * links,
+            problem.fields, state.T_camera_link, start * links,
             problem.used, 0, p, width,
         )  # fmt: skip
         if k < 0:

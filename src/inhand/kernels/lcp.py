@@ -110,7 +110,6 @@ def match_finger_points(
     link: wp.array(dtype=int),
     samples: wp.array(dtype=int),
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     obstacle: wp.array(dtype=int),
     match: wp.array(dtype=int),
     clearance: wp.array(dtype=float),
@@ -127,13 +126,13 @@ def match_finger_points(
         clearance: out, flat (c, s), signed distance to the nearest obstacle [m], at most 0.
     """
     item = first + wp.tid()
-    n_links = spheres.shape[0]
+    n_links = fields.start.shape[0]
     first_pose = (item // samples.shape[0]) * n_links
     i = samples[item % samples.shape[0]]
     T = T_camera_link[first_pose + link[i]]
     p = wp.transform_point(T, points[i])
     match[item] = lies_on_scene(scene, p, wp.transform_vector(T, normals[i]))
     depth, _gradient, _link = nearest_body(
-        fields, spheres, T_camera_link, first_pose, obstacle, link[i] * n_links, p, 0.0
+        fields, T_camera_link, first_pose, obstacle, link[i] * n_links, p, 0.0
     )
     clearance[item] = depth

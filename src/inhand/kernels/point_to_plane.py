@@ -16,8 +16,6 @@ class RigidModel:
 
     fields: Fields
     """Distance fields of the parts."""
-    spheres: wp.array(dtype=wp.vec4)
-    """Bounding spheres of the parts, part frame (centre, radius) [m]."""
     T_model_part: wp.array(dtype=wp.mat44)
     used: wp.array(dtype=int)
     """Per part, 0 leaves it out."""
@@ -62,7 +60,7 @@ def align_to_points(
         for k in range(points.shape[0]):
             x = wp.quat_rotate_inv(rotation, points[k] - origin)
             d, g, _link = nearest_body(
-                model.fields, model.spheres, model.T_model_part, 0, model.used, 0, x, max_distance
+                model.fields, model.T_model_part, 0, model.used, 0, x, max_distance
             )
             if wp.abs(d) >= max_distance:
                 continue

@@ -201,7 +201,7 @@ def clearances(
     launch(
         link_clearances,
         count * links,
-        [T_camera_object, obj.points, points, hand.fields, hand.spheres]
+        [T_camera_object, obj.points, points, hand.fields]
         + [device_poses(hand_state.T_camera_link, device), farthest, clearance],
         device,
         work_per_item=4 * points,

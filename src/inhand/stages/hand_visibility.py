@@ -106,7 +106,7 @@ def hand_support(
         link_support,
         count,
         [observation.view, rule, device_poses(T_camera_link, device), hand.points]
-        + [hand.normals, start, config.fine_points, hand.fields, hand.spheres, hand.apart]
+        + [hand.normals, start, config.fine_points, hand.fields, hand.apart]
         + [depth, shown, config.render_step, sums],
         device,
         work_per_item=config.fine_points,

@@ -126,7 +126,6 @@ class FingerCost:
             hand.link,
             samples,
             hand.fields,
-            hand.spheres,
             wp.array(_obstacles(hand, finger, placed).reshape(-1), dtype=int, device=device),
             match,
             clearance,

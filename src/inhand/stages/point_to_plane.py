@@ -35,12 +35,10 @@ def align_model(
     device = obj.device
     model = RigidModel()
     model.fields = obj.fields
-    sphere = bounding_sphere(obj.model.mesh)
-    model.spheres = wp.array([sphere], dtype=wp.vec4, device=device)
     model.T_model_part = device_poses(np.eye(4), device)
     model.used = wp.ones(1, dtype=int, device=device)
     model.centre = wp.vec3(*obj.model.centre)
-    model.radius = sphere[3]
+    model.radius = bounding_sphere(obj.model.mesh)[3]
     aligned = device_poses(poses.T_camera_object, device)
     inputs = [
         model,

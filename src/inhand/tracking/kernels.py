@@ -22,7 +22,6 @@ def not_hand(distance: float, none: float, all: float):
 def object_weights(
     points: wp.array(dtype=wp.vec3),
     links: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     T_camera_link: wp.array(dtype=wp.mat44),
     certain: wp.array(dtype=int),
     uncertain: wp.array(dtype=int),
@@ -51,8 +50,8 @@ def object_weights(
     weight[i] = 0.0
     if field_at(obj, 0, to_local(T_camera_object, p))[0] > near:
         return
-    to_certain, _g, _k = nearest_body(links, spheres, T_camera_link, 0, certain, 0, p, all)
-    to_uncertain, _h, _l = nearest_body(links, spheres, T_camera_link, 0, uncertain, 0, p, all)
+    to_certain, _g, _k = nearest_body(links, T_camera_link, 0, certain, 0, p, all)
+    to_uncertain, _h, _l = nearest_body(links, T_camera_link, 0, uncertain, 0, p, all)
     doubt = not_hand(wp.min(to_certain, to_uncertain), none, all)
     weight[i] = not_hand(to_certain, none, all) * (share + (1.0 - share) * doubt)
 

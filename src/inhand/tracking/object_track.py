@@ -68,7 +68,7 @@ def segment_near(
     launch(
         object_weights,
         len(weight),
-        [observation.points_on_device, hand.fields, hand.spheres]
+        [observation.points_on_device, hand.fields]
         + [device_poses(state.T_camera_link, device)]
         + [
             wp.array(links.astype(np.int32), device=device)
