@@ -64,7 +64,7 @@ class KinematicArrays:
 
     def part(self, links: Sequence[int]) -> tuple["KinematicArrays", NDArray[np.intp]]:
         """The joints that carry some links, with these alone, and the elements of q they follow."""
-        joints = sorted({joint for link in links for joint in self._path(link)})
+        joints = sorted({joint for link in links for joint in self.path(link)})
         place = {joint: i for i, joint in enumerate([-1, *joints], start=-1)}
         sources, source = np.unique(self.source[joints], return_inverse=True)
         part = KinematicArrays(
@@ -80,7 +80,7 @@ class KinematicArrays:
         )
         return part, sources.astype(np.intp)
 
-    def _path(self, link: int) -> list[int]:
+    def path(self, link: int) -> list[int]:
         """The joints that carry a link, from the link to the root."""
         joints, joint = [], int(self.link_joint[link])
         while joint >= 0:

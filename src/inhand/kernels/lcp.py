@@ -57,7 +57,7 @@ def pose_lcp(
     """
     share = wp.empty(len(T_camera_model), dtype=float, device=device)
     inputs = [
-        wp.array(np.asarray(T_camera_model, dtype=np.float32), dtype=wp.mat44, device=device),
+        wp.array(T_camera_model, dtype=wp.mat44, device=device),
         wp.array(points, dtype=wp.vec3, device=device),
         wp.array(normals, dtype=wp.vec3, device=device),
         fields,
