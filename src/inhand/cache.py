@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Arrays = dict[str, NDArray[Any]]
 Whole = TypeVar("Whole")
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Raise it when code that builds cached arrays changes its result."""
 
 

@@ -70,8 +70,13 @@ def skew(v: Array) -> Array:
 
 def exp_so3(w: Array) -> Array:
     """Rotation matrices, shape (..., 3, 3), of rotation vectors [rad], shape (..., 3)."""
-    rotations = Rotation.from_rotvec(np.reshape(w, (-1, 3))).as_matrix()
-    return np.asarray(rotations.reshape(*np.shape(w), 3))
+    angle = np.linalg.norm(w, axis=-1)[..., None, None]
+    k = skew(w)
+    small = angle < 1e-8
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5, (1 - np.cos(safe)) / safe**2)
+    return np.asarray(np.eye(3) + a * k + b * (k @ k))
 
 
 def exp(xi: Array) -> Array:
