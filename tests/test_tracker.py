@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from inhand import Camera, InputError, ObjectModel, PoseEstimate, PoseTracker, TrackerConfig
 from inhand.evaluation.metrics import adi, sample_model
@@ -154,6 +155,27 @@ def test_a_still_object_does_not_jitter(still: Film) -> None:
     assert np.sqrt(places.var(axis=0).mean()) < 0.0003
     turns = rotation_angle(poses[:, :3, :3], poses[[12], :3, :3])
     assert np.sqrt((turns**2).mean() / 3) < np.radians(0.3)
+
+
+def test_a_round_body_at_rest_is_not_turned_by_noise() -> None:
+    """While the estimate averages images that hardly show how it is turned."""
+    film = Film("ellipsoid", STILL, 26, seed=2)
+    tracker, answers, estimates = film.tracker(), [], []
+    for i in range(26):
+        e = film.show(tracker, i)
+        assert e.T_camera_object is not None
+        assert tracker._track is not None
+        answers.append(e.T_camera_object)
+        estimates.append(tracker._track.T_camera_object)
+    answered, estimated = (turn_sd(np.stack(poses[6:])) for poses in (answers, estimates))
+    assert answered < np.radians(0.3)
+    assert estimated > 2 * answered
+
+
+def turn_sd(poses: np.ndarray) -> float:
+    """Sd of a turn [rad] about each axis, of poses (n, 4, 4)."""
+    turns = Rotation.from_matrix(poses[:, :3, :3])
+    return float(np.sqrt((turns * turns.mean().inv()).as_rotvec().var(axis=0).mean()))
 
 
 def test_what_the_image_does_not_show_does_not_drift() -> None:

@@ -18,7 +18,12 @@ from inhand.tracking.config import TrackerConfig
 from inhand.tracking.finger_search import find_lost_fingers
 from inhand.tracking.gaussian import moved, twist_between
 from inhand.tracking.hand_track import follow_hand
-from inhand.tracking.object_track import _system, follow_object, segment_near
+from inhand.tracking.object_track import (
+    FollowedObject,
+    _system,
+    follow_object,
+    segment_near,
+)
 from inhand.tracking.track import Track, predicted
 
 CONFIG = TrackerConfig()
@@ -44,18 +49,27 @@ def track_of(held: HeldObject, covariance: np.ndarray) -> Track:
         object_covariance=covariance,
         lasting=np.zeros((6, 6)),
         motion=np.zeros(6),
+        motion_covariance=SURE,
+        hand_motion=np.zeros(6),
+        answer=held.T_camera_object,
+        images=10,
         confidence=0.9,
     )
 
 
-def follow(held: HeldObject, track: Track) -> np.ndarray:
-    """The object's pose, followed with the true hand."""
+def follow_found(held: HeldObject, track: Track) -> FollowedObject:
+    """The object, followed with the true hand."""
     args = (held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
     segment = segment_near(*args)
     evidence = gather_evidence(
         held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
     )
-    return follow_object(evidence, held.obj, track, CONFIG).T_camera_object
+    return follow_object(evidence, held.obj, track, CONFIG)
+
+
+def follow(held: HeldObject, track: Track) -> np.ndarray:
+    """Its pose."""
+    return follow_found(held, track).T_camera_object
 
 
 def test_a_pose_that_is_not_known_is_where_the_image_has_it(held: HeldObject) -> None:
@@ -102,11 +116,35 @@ def test_what_moves_may_move_where_it_does_not_show(held: HeldObject) -> None:
     still = track_of(held, SURE)
     moves = replace(still, motion=np.array([0, 0, 0, 0.002, 0, 0]))
     hand = held.hand.hand
-    after = [predicted(track, still.given, 1 / 30, hand, CONFIG) for track in (still, moves)]
+    after = [predicted(track, still.given, 1 / 30, False, hand, CONFIG) for track in (still, moves)]
     grown = np.diag(after[1].object_covariance - after[0].object_covariance)
     assert (grown > 0).all()
     assert grown[3] > 5 * grown[4:].max()
     np.testing.assert_allclose(grown[:3], grown[4] / CONFIG.object.lever**2)
+
+
+def test_what_was_not_seen_may_have_moved(held: HeldObject) -> None:
+    """By the sd that is configured, in all directions; and its images count from nothing again."""
+    track, hand = track_of(held, SURE), held.hand.hand
+    seen, hidden = (predicted(track, track.given, 0.25, was, hand, CONFIG) for was in (False, True))
+    c = CONFIG.object
+    sd = np.sqrt(np.diag(hidden.object_covariance - seen.object_covariance))
+    np.testing.assert_allclose(sd, [c.hidden_turn / 2] * 3 + [c.hidden_motion / 2] * 3)
+    assert seen.images == track.images
+    assert hidden.images == 0
+
+
+def test_motion_of_a_still_object_is_what_chance_makes_of_it(held: HeldObject) -> None:
+    """Innovations drawn from their covariance leave motions that agree with theirs."""
+    rng, covariance = np.random.default_rng(0), np.diag([0.02] * 3 + [0.0005] * 3) ** 2
+    track, squares = track_of(held, SURE), []
+    found = follow_found(held, track)
+    for _ in range(400):
+        innovation = rng.multivariate_normal(np.zeros(6), covariance)
+        found = replace(found, innovation=innovation, innovation_covariance=covariance)
+        track = found.kept_in(track, 0.9, CONFIG)
+        squares.append(track.motion @ np.linalg.solve(track.motion_covariance, track.motion))
+    assert 4.5 < np.mean(squares[20:]) < 7.5
 
 
 def test_the_segment_is_the_object(held: HeldObject) -> None:
@@ -206,7 +244,7 @@ def test_a_camera_that_turns_turns_the_covariance() -> None:
     unequal = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]) ** 2
     track, hand = track_of(held, unequal), built_in_hand().hand
     quarter = se3.exp(np.array([0, 0, np.pi / 2, 0, 0, 0]))
-    after = predicted(track, quarter @ track.given, 1e-6, hand, CONFIG)
+    after = predicted(track, quarter @ track.given, 1e-6, False, hand, CONFIG)
     expected = np.diag([0.2, 0.1, 0.3, 0.02, 0.01, 0.03]) ** 2
     np.testing.assert_allclose(after.object_covariance, expected, atol=1e-8)
 
@@ -217,14 +255,14 @@ def test_prediction_carries_hand_and_object_with_the_wrist() -> None:
     step = np.eye(4)
     step[:3, :3] = moved(np.eye(4), np.array([0.1, 0.2, -0.1, 0, 0, 0]), np.zeros(3))[:3, :3]
     step[:3, 3] = [0.01, 0.02, 0.0]
-    after = predicted(truth, step @ truth.given, 0.1, hand, CONFIG)
+    after = predicted(truth, step @ truth.given, 0.1, False, hand, CONFIG)
     np.testing.assert_allclose(after.T_camera_object, step @ truth.T_camera_object)
     np.testing.assert_allclose(after.T_camera_hand, step @ truth.T_camera_hand)
     np.testing.assert_array_equal(after.joint_vector, truth.joint_vector)
     grown = np.linalg.eigvalsh(after.object_covariance) - np.linalg.eigvalsh(SURE)
     assert (grown > 0).all()
-    later = predicted(truth, truth.given, 0.4, hand, CONFIG)
-    sooner = predicted(truth, truth.given, 0.1, hand, CONFIG)
+    later = predicted(truth, truth.given, 0.4, False, hand, CONFIG)
+    sooner = predicted(truth, truth.given, 0.1, False, hand, CONFIG)
     ratio = np.diag(later.hand_covariance - truth.hand_covariance) / np.diag(
         sooner.hand_covariance - truth.hand_covariance
     )

@@ -39,6 +39,10 @@ def track_of(held: HeldObject) -> Track:
         object_covariance=WELL_KNOWN,
         lasting=np.zeros((6, 6)),
         motion=np.zeros(6),
+        motion_covariance=WELL_KNOWN,
+        hand_motion=np.zeros(6),
+        answer=held.T_camera_object,
+        images=10,
         confidence=0.2,
     )
 

@@ -443,7 +443,7 @@ class SelectionConfig(Section):
     for poses that are not refined yet."""
     grasps: int = 12
     """`likelihood`: poses that hidden fingers are placed against."""
-    finger_points: int = 50
+    finger_points: int = 25
     """`likelihood`: surface samples of a finger link that are held against the object for it."""
     finger_visibility: NonNegative = 0.5
     """`likelihood`: weight of a configuration's visibility score in it."""

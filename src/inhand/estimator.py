@@ -154,14 +154,14 @@ class PoseEstimator:
         )
         yield (r := replace(r, hand_state=state))
 
-        best = r
-        for reached in self._object_stages(r, observation, state, clock, rng):
+        best, searches = r, (c,) if c.first_look.enough == 1 else (c.quick, c)
+        for reached in self._object_stages(r, observation, state, searches, clock, rng):
             yield (best := reached)
         if best.segment is not None and best.confidence < c.second_look.below:
             for other in clock.time(
                 "second_look", hands_in_segment, observation, state, best.segment, hand, c
             ):
-                again = self._second_look(r, observation, other, clock, rng)
+                again = self._second_look(r, observation, other, searches[:1], clock, rng)
                 if again.confidence > best.confidence:
                     yield (best := again)
 
@@ -177,10 +177,12 @@ class PoseEstimator:
         r: StageResults,
         observation: Observation,
         state: HandState,
+        searches: tuple[EstimatorConfig, ...],
         clock: "Clock",
         rng: np.random.Generator,
     ) -> Iterator[StageResults]:
-        """The stages that follow the hand's, as `_stages`."""
+        """The stages that follow the hand's, as `_stages`; one search after the other until the
+        answer is sure."""
         c, hand, diameter = self.config, self.hand, self.object.model.diameter
         segment = clock.time(
             "segmentation", segment_object, observation, state, hand, diameter, c.segmentation
@@ -190,14 +192,14 @@ class PoseEstimator:
         )
         yield (r := replace(r, hand_state=state, segment=segment))
 
-        if c.first_look.enough < 1:
+        for search in searches[:-1]:
             first = r
             with suppress(NoAnswer):
-                for first in self._pose_stages(r, evidence, c.quick, clock, rng):
+                for first in self._pose_stages(r, evidence, search, clock, rng):
                     yield first
             if first.confidence >= c.first_look.enough:
                 return
-        yield from self._pose_stages(r, evidence, c, clock, rng)
+        yield from self._pose_stages(r, evidence, searches[-1], clock, rng)
 
     def _pose_stages(
         self,

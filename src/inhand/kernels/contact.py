@@ -72,8 +72,13 @@ def configuration_clearances(
     i = first + wp.tid()
     T = T_camera_object[i // n_configurations]
     links = (i % n_configurations) * n_links
+    middle = 0.5 * (fields.low[0] + fields.high[0])
+    radius = wp.length(fields.high[0] - middle)
     nearest = farthest
     for k in range(n_points):
         p = wp.transform_point(T_camera_link[links + link[k]], points[k])
-        nearest = wp.min(nearest, field_at(fields, 0, to_local(T, p))[0])
+        local = to_local(T, p)
+        bound = radius + wp.max(nearest, 0.0)
+        if wp.length_sq(local - middle) < bound * bound:
+            nearest = wp.min(nearest, field_at(fields, 0, local)[0])
     clearance[i] = nearest

@@ -105,7 +105,7 @@ class ObjectTrackConfig(Section):
     """And in the last [m]."""
     image_weight: NonNegative = 0.3
     """Weight of a visible model point against a segment point."""
-    point_information: float = 8.0e4
+    point_information: float = 2.0e5
     """Information of one segment point [1/m^2] where the fit is weighed against the prediction."""
     still_motion: float = 0.0005
     """Sd of how an object moves that seems to be still in the hand [m/sqrt(s)]."""
@@ -117,15 +117,38 @@ class ObjectTrackConfig(Section):
     unseen_agility: NonNegative = 0.3
     """And in every direction this times the root mean square of all: what the image shows to move
     may move where it does not show it as well."""
+    hidden_motion: float = 0.02
+    """Sd of how an object moves that was not seen in the last image [m/sqrt(s)]."""
+    hidden_turn: float = 0.6
+    """Sd of how it turns [rad/sqrt(s)]."""
     lever: float = 0.03
     """Motion that counts as one radian of turning there [m/rad]."""
-    lasting: NonNegative = 0.5
+    lasting: NonNegative = 0.8
     """Sd of the errors that are the same in all images, in units of those that are not; see
     `Track.lasting`."""
     memory: Share = 0.8
     """Weight of earlier images in the recent motion."""
     start_lead: NonNegative = 0.02
     """A start other than the prediction must score better by this."""
+
+
+@dataclass(frozen=True)
+class RestConfig(Section):
+    """What is answered while hand and object rest; see `tracking.rest`."""
+
+    hand_speed: NonNegative = 0.018
+    """A hand whose given pose moves more slowly than this rests [m/s]."""
+    most_motion: NonNegative = 12.6
+    """An object rests whose recent motion, squared and in units of what chance makes of it, is less
+    than this: 95 % are where nothing moves (chi squared, six degrees of freedom)."""
+    settling: int = 4
+    """Images after a search or a loss in which an answer follows the estimate at once."""
+    doubt: NonNegative = 1.0
+    """The answer stays while the estimate is within so many standard deviations, each less ..."""
+    least_doubt: NonNegative = 0.0005
+    """... this [m]: where the image says more, the answer is the estimate."""
+    closing: Share = 0.2
+    """Share of the difference that is left after each image with motion."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +175,8 @@ class LossConfig(Section):
     agrees with where the object was expected or where the last image's search had it."""
     sure: Share = 0.8
     """While there is no track to agree with, one search of this confidence is enough."""
+    right: float = 0.005
+    """A pose is right if the object's surface is off by less than this, root mean square [m]."""
     same: float = 0.004
     """Poses whose surfaces are nearer than this on average agree [m]."""
 
@@ -169,6 +194,7 @@ class TrackerConfig(Section):
     hand: HandTrackConfig = field(default_factory=HandTrackConfig)
     fingers: FingerSearchConfig = field(default_factory=FingerSearchConfig)
     object: ObjectTrackConfig = field(default_factory=ObjectTrackConfig)
+    rest: RestConfig = field(default_factory=RestConfig)
     loss: LossConfig = field(default_factory=LossConfig)
 
     @cached_property

@@ -35,6 +35,7 @@ class FollowedHand:
             track,
             T_camera_hand=self.state.T_camera_hand,
             T_camera_object=correction @ track.T_camera_object,
+            answer=correction @ track.answer,
             joint_vector=self.state.joint_vector,
             hand_covariance=self.covariance,
             certain=self.state.certain,

@@ -17,7 +17,7 @@ from inhand.stages.results import HandState, Segment
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, moved, twist_between
 from inhand.tracking.kernels import object_terms, object_weights
-from inhand.tracking.track import Track
+from inhand.tracking.track import Track, start_covariance
 
 BLOCKS = 8
 
@@ -34,6 +34,8 @@ class FollowedObject:
     """Its twist by each unit of the errors that do not, shape (6, 6); see `Track.lasting`."""
     innovation: Array
     """Twist from where it was expected to where the image alone has it, shape (6,)."""
+    innovation_covariance: Array
+    """Its covariance if nothing moved, shape (6, 6)."""
     score: float
     """Score of the pose, as in the estimator's selection."""
 
@@ -46,6 +48,9 @@ class FollowedObject:
             object_covariance=self.covariance,
             lasting=self.lasting,
             motion=keep * track.motion + (1 - keep) * self.innovation,
+            motion_covariance=keep**2 * track.motion_covariance
+            + (1 - keep) ** 2 * self.innovation_covariance,
+            images=track.images + 1,
             confidence=confidence,
         )
 
@@ -124,8 +129,15 @@ def follow_object(
     # The same error in all images: what the image adds comes on top of what is left of it.
     kept = np.eye(6) - covariance @ seen
     lasting = kept @ track.lasting + c.lasting * covariance @ _root(seen)
+    # What no image tells is taken to be known as well as at the start.
+    of_image = np.linalg.inv(seen + np.linalg.inv(start_covariance(config)))
     return FollowedObject(
-        moved(T, step, centre), covariance, lasting, innovation, float(score[best])
+        T_camera_object=moved(T, step, centre),
+        covariance=covariance,
+        lasting=lasting,
+        innovation=innovation,
+        innovation_covariance=track.object_covariance + of_image,
+        score=float(score[best]),
     )
 
 

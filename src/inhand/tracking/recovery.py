@@ -126,4 +126,4 @@ def resumed(
         (expected, track.whole_covariance), (nearest, anew.whole_covariance), centre
     )
     none = np.zeros_like(covariance)
-    return replace(anew, T_camera_object=T, object_covariance=covariance, lasting=none)
+    return replace(anew, T_camera_object=T, answer=T, object_covariance=covariance, lasting=none)

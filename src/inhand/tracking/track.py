@@ -10,7 +10,7 @@ from inhand.geometry import se3
 from inhand.hand import Hand
 from inhand.kinematics import PRISMATIC
 from inhand.tracking.config import TrackerConfig
-from inhand.tracking.gaussian import Array, carried
+from inhand.tracking.gaussian import Array, carried, twist_between
 from inhand.tracking.loss import expected_confidence
 
 
@@ -37,8 +37,16 @@ class Track:
     sensor's noise near edges, of the models, of the hand. More images do not lessen these."""
     motion: Array
     """Recent twist per image beyond what was predicted, shape (6,)."""
+    motion_covariance: Array
+    """Covariance of what `motion` is if nothing moves, shape (6, 6)."""
+    hand_motion: Array
+    """Recent velocity of the given wrist, about its origin, [rad/s, m/s], shape (6,)."""
+    answer: Array
+    """The object's pose that is answered, shape (4, 4): this one may stay while nothing moves."""
+    images: int
+    """In how many images the object was followed without a break."""
     confidence: float
-    """Probability that the object's pose is right."""
+    """Probability that the object's pose is not another altogether."""
 
     @property
     def whole_covariance(self) -> Array:
@@ -69,6 +77,10 @@ def begun(estimate: PoseEstimate, given: Array, hand: Hand, config: TrackerConfi
         object_covariance=start_covariance(config),
         lasting=c.lasting * np.sqrt(start_covariance(config)),
         motion=np.zeros(6),
+        motion_covariance=start_covariance(config),
+        hand_motion=np.zeros(6),
+        answer=estimate.T_camera_object,
+        images=0,
         confidence=estimate.confidence,
     )
 
@@ -79,7 +91,7 @@ def start_covariance(config: TrackerConfig) -> Array:
 
 
 def predicted(
-    track: Track, given: Array, seconds: float, hand: Hand, config: TrackerConfig
+    track: Track, given: Array, seconds: float, hidden: bool, hand: Hand, config: TrackerConfig
 ) -> Track:
     """The track at the next image, before looking at it.
 
@@ -90,6 +102,7 @@ def predicted(
         track: the track at the last image.
         given: the wrist pose that comes with the next one, shape (4, 4).
         seconds: time between the two [s].
+        hidden: whether the last image did not show the object: it may have moved unseen.
         hand: the hand.
         config: parameters.
     """
@@ -100,8 +113,9 @@ def predicted(
     still = np.array([o.still_turn] * 3 + [o.still_motion] * 3) ** 2 * seconds
     lever = np.array([o.lever] * 3 + [1.0] * 3)
     anywhere = (o.unseen_agility / lever) ** 2 * np.mean((lever * track.motion) ** 2)
-    noise = np.diag(still + (o.agility * track.motion) ** 2 + anywhere)
-    R = step[:3, :3]
+    unseen = np.array([o.hidden_turn] * 3 + [o.hidden_motion] * 3) ** 2 * seconds * hidden
+    noise = np.diag(still + (o.agility * track.motion) ** 2 + anywhere + unseen)
+    R, velocity = step[:3, :3], twist_between(track.given, given, np.zeros(3)) / seconds
     return replace(
         track,
         given=given,
@@ -111,6 +125,10 @@ def predicted(
         object_covariance=carried(track.object_covariance, R) + noise,
         lasting=np.concatenate([R @ track.lasting[:3], R @ track.lasting[3:]]),
         motion=np.concatenate([R @ track.motion[:3], R @ track.motion[3:]]),
+        motion_covariance=carried(track.motion_covariance, R),
+        hand_motion=o.memory * track.hand_motion + (1 - o.memory) * velocity,
+        answer=step @ track.answer,
+        images=0 if hidden else track.images,
         confidence=expected_confidence(track.confidence, config.loss),
     )
 

@@ -16,13 +16,15 @@ from inhand.object_model import ObjectModel
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
+from inhand.tracking.accuracy import surface_form, surface_within
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.finger_search import find_lost_fingers
-from inhand.tracking.gaussian import Array, about_origin
+from inhand.tracking.gaussian import Array, about_origin, carried
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
 from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
+from inhand.tracking.rest import with_answer
 from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
@@ -52,6 +54,7 @@ class PoseTracker:
             raise InputError(f"config must be an inhand.TrackerConfig, got {config!r:.80}")
         self.estimator = PoseEstimator(hand, obj, self.config.estimator, device)
         self._hand, self._object = self.estimator.hand, self.estimator.object
+        self._shape = surface_form(self._object.model)
         self.reset()
 
     def reset(self) -> None:
@@ -87,7 +90,9 @@ class PoseTracker:
         seconds, clock = self._since_last(time), Clock()
         self._images += 1
         if self._track is not None:
-            self._track = predicted(self._track, given, seconds, self._hand.hand, self.config)
+            self._track = predicted(
+                self._track, given, seconds, self._lost, self._hand.hand, self.config
+            )
             answer = self._follow(image, camera, self._track, clock)
             if answer.found:
                 return answer
@@ -137,7 +142,8 @@ class PoseTracker:
             self._lost = True
             return self._no_answer("the image does not show the object where it is expected", clock)
         self._lost, self._sighting = False, None
-        self._track = found.kept_in(track, confidence, config)
+        followed = found.kept_in(track, confidence, config)
+        self._track = with_answer(followed, self._object.model.centre, hand.hand.reach[1], config)
         return self._answer(found.score, clock)
 
     def _follow_object(
@@ -172,7 +178,7 @@ class PoseTracker:
             return self._no_answer("no second image agrees yet on where the object is", clock)
         self._lost = False
         self._track = self._resumed(estimate, given)
-        T, covariance = self._track.T_camera_object, self._covariance()
+        T, covariance = self._track.answer, self._covariance()
         return replace(estimate, T_camera_object=T, timings=clock.seconds, covariance=covariance)
 
     def _stands_beside_the_hand(
@@ -212,14 +218,20 @@ class PoseTracker:
         return PoseEstimate(
             found=True,
             reason="",
-            T_camera_object=track.T_camera_object,
+            T_camera_object=track.answer,
             joint_positions=self._hand.hand.joint_dict(track.joint_vector),
             T_camera_hand=track.T_camera_hand,
-            confidence=track.confidence,
-            candidates=(Candidate(track.T_camera_object, {"score": score}),),
+            confidence=track.confidence * self._accuracy(track),
+            candidates=(Candidate(track.answer, {"score": score}),),
             timings=clock.seconds,
             covariance=self._covariance(),
         )
+
+    def _accuracy(self, track: Track) -> float:
+        """Probability that the pose is right, if it is not another altogether."""
+        R = track.T_camera_object[:3, :3]
+        covariance = carried(track.whole_covariance, R.T)
+        return surface_within(covariance, self._shape, self.config.loss.right)
 
     def _no_answer(self, reason: str, clock: Clock) -> PoseEstimate:
         track = self._track
@@ -238,4 +250,4 @@ class PoseTracker:
         track = self._track
         assert track is not None
         centre = self._object.model.centre
-        return about_origin(track.whole_covariance, track.T_camera_object, centre)
+        return about_origin(track.whole_covariance, track.answer, centre)
