@@ -5,9 +5,8 @@
 import warp as wp
 
 from inhand.kernels.fields import Fields, field_at
-from inhand.kernels.object_fit import Matrix6, Vector6, moved, solve6
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.normal_equations import Matrix6, Vector6, solve_in_place
+from inhand.kernels.object_fit import moved
 
 
 @wp.kernel
@@ -34,7 +33,7 @@ def solve(
     A: wp.array(dtype=Matrix6), b: wp.array(dtype=Vector6), x: wp.array(dtype=Vector6), first: int
 ):
     i = first + wp.tid()
-    x[i] = solve6(A[i], b[i])
+    x[i] = solve_in_place(A[i], b[i], 6)
 
 
 @wp.kernel

@@ -21,12 +21,12 @@ from inhand.baselines.icp import rank, refine_by_icp
 from inhand.baselines.method import Method, View, view_of
 from inhand.baselines.registry import find_methods, method_names
 from inhand.baselines.super4pcs import FARTHEST_CROSSING, Settings, Super4PCS
+from inhand.baselines.views import spread_directions
 from inhand.config import EstimatorConfig
 from inhand.datasets.frame import Frame, Truth
 from inhand.errors import InputError, NoAnswer
 from inhand.estimate import PoseEstimate
 from inhand.geometry import se3
-from inhand.geometry.sampling import spread_directions
 from inhand.stages.congruent_sets import Bases
 from inhand.stages.observation import Cloud
 

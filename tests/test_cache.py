@@ -1,3 +1,4 @@
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -96,3 +97,23 @@ def test_failed_write_leaves_nothing_behind(folder: Path, monkeypatch: pytest.Mo
 def test_default_folder_is_in_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("INHAND_CACHE_DIR")
     assert cache.cache_folder().parts[-2:] == (".cache", "inhand")
+
+
+@dataclass
+class Whole:
+    values: NDArray[Any]
+    size: float
+    axis: NDArray[Any] | None
+
+
+@pytest.mark.parametrize("axis", [None, np.array([0.0, 0.0, 1.0])])
+def test_what_is_taken_apart_is_put_together_again(axis: NDArray[Any] | None) -> None:
+    one, other = Whole(np.arange(3), 0.5, axis), Whole(np.zeros((2, 0)), 2.0, None)
+    arrays = cache.cached(["wholes"], lambda: cache.taken_apart(one=one, other=other))
+    arrays = cache.cached(["wholes"], dict)
+    for name, whole in (("one", one), ("other", other)):
+        found = cache.put_together(Whole, name, arrays)
+        np.testing.assert_array_equal(found.values, whole.values)
+        assert type(found.size) is float
+        assert found.size == whole.size
+        np.testing.assert_array_equal(found.axis, whole.axis)

@@ -15,13 +15,13 @@ from inhand.kernels.launch import launch
 RADIUS, HALF = 0.02, np.array([0.01, 0.02, 0.015])
 VOXELS = (0.001, 0.0013, 0.002)
 MARGIN = 0.01
+SHAPES = (sphere(RADIUS), box(2 * HALF), box(4 * HALF))
 
 
 @pytest.fixture(scope="module")
 def bodies() -> list[DistanceField]:
     """A sphere, a box and a finer box, of different grids, in the precision of kernels."""
-    shapes = (sphere(RADIUS), box(2 * HALF), box(4 * HALF))
-    fields = [build_distance_field(m, v, MARGIN) for m, v in zip(shapes, VOXELS, strict=True)]
+    fields = [build_distance_field(m, v, MARGIN) for m, v in zip(SHAPES, VOXELS, strict=True)]
     return [replace(f, values=f.values.astype(np.float16).astype(np.float32)) for f in fields]
 
 
@@ -29,7 +29,7 @@ def values(fields: list[DistanceField], body: np.ndarray, points: np.ndarray) ->
     """Distance and gradient of points (n, 3) by the kernel, shape (n, 4)."""
     out = wp.empty(len(points), dtype=wp.vec4, device="cpu")
     arguments = [wp.array(body, dtype=int), wp.array(points, dtype=wp.vec3), out]
-    launch(look_up, len(points), [pack_fields(fields, "cpu"), *arguments], "cpu")
+    launch(look_up, len(points), [pack_fields(fields, SHAPES, "cpu"), *arguments], "cpu")
     return np.asarray(out.numpy())
 
 
@@ -88,7 +88,7 @@ def test_far_outside_the_grid_the_distance_is_never_too_small(bodies: list[Dista
 @pytest.mark.parametrize("body", range(3))
 def test_the_box_around_a_surface_is_tight(bodies: list[DistanceField], body: int) -> None:
     extent = [np.full(3, RADIUS), HALF, 2 * HALF][body]
-    packed = pack_fields(bodies, "cpu")
+    packed = pack_fields(bodies, SHAPES, "cpu")
     low, high = packed.low.numpy()[body], packed.high.numpy()[body]
     assert (low <= -extent + 1e-6).all()
     assert (high >= extent - 1e-6).all()

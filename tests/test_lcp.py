@@ -22,8 +22,9 @@ def sphere_surface(count: int) -> np.ndarray:
 
 def test_pose_lcp_counts_as_a_kd_tree_of_the_surface() -> None:
     rng = np.random.default_rng(0)
-    field = build_distance_field(meshes.sphere(RADIUS), 0.001, 0.01)
-    fields = pack_fields([field], "cpu")
+    mesh = meshes.sphere(RADIUS)
+    field = build_distance_field(mesh, 0.001, 0.01)
+    fields = pack_fields([field], [mesh], "cpu")
     surface = sphere_surface(100_000)
     tree = cKDTree(RADIUS * surface)
     # Points around the surface whose normals are off by up to a right angle.
@@ -93,7 +94,8 @@ def match_finger(
     cloud.grid = grid.id
     # Link 0 is the finger, link 1 the sphere.
     poses = np.stack([T, np.broadcast_to(np.eye(4), T.shape)], axis=1).reshape(-1, 4, 4)
-    field = build_distance_field(meshes.sphere(RADIUS), 0.001, 0.01)
+    mesh = meshes.sphere(RADIUS)
+    field = build_distance_field(mesh, 0.001, 0.01)
     n = len(finger)
     match = wp.empty(len(T) * n, dtype=int, device="cpu")
     clearance = wp.empty(len(T) * n, dtype=float, device="cpu")
@@ -104,8 +106,7 @@ def match_finger(
         vectors(finger_normals),
         ints(np.zeros(n)),
         ints(np.arange(n)),
-        pack_fields([field, field], "cpu"),
-        wp.array([[0, 0, 0, 0.03]] * 2, dtype=wp.vec4, device="cpu"),
+        pack_fields([field, field], [mesh, mesh], "cpu"),
         ints(np.array([0, 1, 0, 0])),
         match,
         clearance,

@@ -18,7 +18,8 @@ from inhand.geometry.mesh import box
 from inhand.geometry.se3 import exp, inverse, random_rotation, transform
 from inhand.kernels.depth import DepthRenderer
 from inhand.kernels.launch import launch
-from inhand.kernels.object_fit import Matrix6, ObjectEvidence, Vector6
+from inhand.kernels.normal_equations import Matrix6, Vector6
+from inhand.kernels.object_fit import ObjectEvidence
 from inhand.object_model import ObjectModel
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.evidence import Evidence, agreement, gather_evidence

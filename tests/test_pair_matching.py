@@ -14,7 +14,7 @@ from inhand.config import EvidenceConfig, HypothesesConfig
 from inhand.errors import NoAnswer
 from inhand.geometry.se3 import exp, transform
 from inhand.kernels.launch import launch
-from inhand.kernels.pair_matching import PairTable, match_pairs
+from inhand.kernels.pair_matching import match_pairs
 from inhand.packed import PackedObject
 from inhand.pair_table import pair_features
 from inhand.stages.evidence import gather_evidence
@@ -32,18 +32,11 @@ def matched(
     seed: int = 0,
 ) -> np.ndarray:
     """Poses, (n / 2, matches, 4, 4), of the scene pairs (0, 1), (2, 3), ..."""
-    pairs = obj.model.pairs
-    table = PairTable()
-    table.cell_start, table.pair_first = obj.cell_start, obj.pair_first
-    table.pair_second = obj.pair_second
-    table.points, table.normals = obj.points, obj.normals
-    table.distance_step = pairs.distance_step
-    table.n_distance, table.n_angle = pairs.n_distance, pairs.n_angle
     first = np.arange(0, len(points), 2, dtype=np.int32)
     poses = wp.empty(len(first) * matches, dtype=wp.mat44, device="cpu")
     scene = [wp.array(x, dtype=wp.vec3) for x in (points, normals)]
     index = [wp.array(x, dtype=int) for x in (first, first + 1)]
-    inputs = [*scene, *index, table, matches, seed, poses]
+    inputs = [*scene, *index, obj.pairs, matches, seed, poses]
     launch(match_pairs, len(first), inputs, "cpu", work_per_item=10 * matches)
     return np.asarray(poses.numpy().reshape(-1, matches, 4, 4))
 

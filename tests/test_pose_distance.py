@@ -62,7 +62,7 @@ def test_a_pose_is_at_no_distance_from_itself() -> None:
 def test_a_shifted_sphere_in_closed_form() -> None:
     """A point at angle t from the shift d is d cos(t) away to first order."""
     mesh = sphere(0.03)
-    fields = pack_fields([build_distance_field(mesh, 0.002, 0.01)], "cpu")
+    fields = pack_fields([build_distance_field(mesh, 0.002, 0.01)], [mesh], "cpu")
     points = wp.array(mesh.vertices, dtype=wp.vec3, device="cpu")
     shifts = np.array([0.001, 0.002, 0.004])
     T = POSE @ exp(np.pad(shifts[:, None], ((0, 0), (3, 2))))

@@ -13,7 +13,6 @@ from inhand.tracking.gaussian import (
     fused,
     moved,
     rotation_vector,
-    system_of,
     twist_between,
 )
 from inhand.tracking.loss import expected_confidence, seen_confidence
@@ -78,15 +77,6 @@ def test_a_carried_covariance_keeps_its_size_and_what_is_not_a_pose(
     np.testing.assert_allclose(np.linalg.eigvalsh(out), np.linalg.eigvalsh(covariance))
     np.testing.assert_allclose(out[6:, 6:], covariance[6:, 6:])
     np.testing.assert_allclose(out[:3, :3], R @ covariance[:3, :3] @ R.T)
-
-
-def test_a_system_is_read_from_its_upper_triangle() -> None:
-    A = np.random.default_rng(0).normal(size=(6, 6))
-    A = A + A.T
-    b = np.arange(6.0)
-    matrix, side = system_of(np.concatenate([A[np.triu_indices(6)], b, [1.0]]))
-    np.testing.assert_array_equal(matrix, A)
-    np.testing.assert_array_equal(side, b)
 
 
 @given(st.floats(0.01, 0.99), st.floats(-1, 3), st.floats(0.01, 1))

@@ -1,19 +1,21 @@
 """Derived model data on disk, addressed by the content it was derived from."""
 
+import dataclasses
 import hashlib
 import os
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Arrays = dict[str, NDArray[Any]]
+Whole = TypeVar("Whole")
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 3
 """Raise it when code that builds cached arrays changes its result."""
 
 
@@ -42,6 +44,23 @@ def cached(
     arrays = dict(build())
     _store(path, arrays)
     return arrays
+
+
+def taken_apart(**wholes: Any) -> Arrays:
+    """The fields of dataclasses as arrays for `cached`, by "name.field"; None is left out."""
+    return {
+        f"{name}.{field.name}": np.asarray(value)
+        for name, whole in wholes.items()
+        for field in dataclasses.fields(whole)
+        if (value := getattr(whole, field.name)) is not None
+    }
+
+
+def put_together(kind: type[Whole], name: str, arrays: Arrays) -> Whole:
+    """The dataclass of which `taken_apart` made the arrays of this name."""
+    names = (f"{name}.{field.name}" for field in dataclasses.fields(kind))  # type: ignore[arg-type]
+    found = (arrays.get(key) for key in names)
+    return kind(*(a if a is None or a.ndim else a.item() for a in found))
 
 
 def _key(parts: Iterable[str | bytes | int | float]) -> str:

@@ -1,7 +1,7 @@
 """Pinhole camera."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -130,23 +130,16 @@ class Camera:
 
     def crop(self, u0: int, v0: int, width: int, height: int) -> "Camera":
         """The camera of the image window that starts at pixel (u0, v0)."""
-        return Camera(self.fx, self.fy, self.cx - u0, self.cy - v0, width, height, self.depth_unit)
+        return replace(self, cx=self.cx - u0, cy=self.cy - v0, width=width, height=height)
 
     def subsampled(self, step: int) -> "Camera":
         """The camera of the image made of every `step`-th pixel, `depth[::step, ::step]`."""
-        return Camera(
-            self.fx / step,
-            self.fy / step,
-            self.cx / step,
-            self.cy / step,
-            -(-self.width // step),
-            -(-self.height // step),
-            self.depth_unit,
-        )
+        scaled = {name: getattr(self, name) / step for name in ("fx", "fy", "cx", "cy")}
+        size = {name: -(-getattr(self, name) // step) for name in ("width", "height")}
+        return replace(self, **scaled, **size)
 
     def project(self, points: NDArray[Any]) -> NDArray[np.float64]:
         """Pixel coordinates, shape (n, 2), of points [m] in the camera frame, shape (n, 3)."""
         z = points[:, 2]
-        return np.stack(
-            [self.fx * points[:, 0] / z + self.cx, self.fy * points[:, 1] / z + self.cy], 1
-        )
+        x, y = self.fx * points[:, 0] / z, self.fy * points[:, 1] / z
+        return np.stack([x + self.cx, y + self.cy], axis=1)

@@ -4,12 +4,11 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from inhand.cache import cached
+from inhand.cache import Arrays, cached, put_together, taken_apart
 from inhand.checks import number_array
 from inhand.errors import InputError
 from inhand.geometry import mesh as meshes
@@ -292,13 +291,13 @@ def _geometry(
     settings = (SAMPLE_SPACING, *SAMPLE_COUNTS, VOXELS_ALONG_LINK, SMALLEST_VOXEL, FIELD_MARGIN)
     arrays = cached(["hand link", key, *settings], lambda: _build_geometry(shapes))
     return (
-        TriangleMesh(arrays["vertices"], arrays["faces"]),
-        SurfaceSamples(arrays["points"], arrays["normals"]),
-        DistanceField(arrays["origin"], float(arrays["voxel"]), arrays["values"]),
+        put_together(TriangleMesh, "mesh", arrays),
+        put_together(SurfaceSamples, "surface", arrays),
+        put_together(DistanceField, "field", arrays),
     )
 
 
-def _build_geometry(shapes: Sequence[Shape]) -> dict[str, Any]:
+def _build_geometry(shapes: Sequence[Shape]) -> Arrays:
     mesh = meshes.concatenate(
         [meshes.transformed(_shape_mesh(shape), shape.T_link_shape) for shape in shapes]
     )
@@ -310,16 +309,8 @@ def _build_geometry(shapes: Sequence[Shape]) -> dict[str, Any]:
     count = int(np.clip(mesh.face_areas.sum() / SAMPLE_SPACING**2, *SAMPLE_COUNTS))
     surface = sample_surface(mesh, count, seed=0)
     voxel = max(SMALLEST_VOXEL, mesh.diameter / VOXELS_ALONG_LINK)
-    distance = build_distance_field(mesh, voxel, FIELD_MARGIN)
-    return {
-        "vertices": mesh.vertices,
-        "faces": mesh.faces,
-        "points": surface.points,
-        "normals": surface.normals,
-        "origin": distance.origin,
-        "voxel": np.array(distance.voxel),
-        "values": distance.values,
-    }
+    distances = build_distance_field(mesh, voxel, FIELD_MARGIN)
+    return taken_apart(mesh=mesh, surface=surface, field=distances)
 
 
 def _shape_mesh(shape: Shape) -> TriangleMesh:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.errors import InputError
-from inhand.geometry.se3 import Array, skew
+from inhand.geometry.se3 import Array, exp
 from inhand.urdf import Robot, UrdfJoint
 
 REVOLUTE, PRISMATIC = 0, 1
@@ -46,7 +46,9 @@ class KinematicArrays:
 
     def joint_poses(self, q: Array) -> Array:
         """Poses of the frames the joints move, in the root frame: (..., n) -> (..., j, 4, 4)."""
-        steps = self.T_parent_joint @ self._motions(self.joint_positions(q))
+        motion = self.joint_positions(q)[..., None] * self.axis
+        turns = np.where(self.kind[:, None] == REVOLUTE, motion, 0.0)
+        steps = self.T_parent_joint @ exp(np.concatenate([turns, motion - turns], axis=-1))
         poses = np.empty_like(steps)
         for i, parent in enumerate(self.parent):
             step = steps[..., i, :, :]
@@ -62,7 +64,7 @@ class KinematicArrays:
 
     def part(self, links: Sequence[int]) -> tuple["KinematicArrays", NDArray[np.intp]]:
         """The joints that carry some links, with these alone, and the elements of q they follow."""
-        joints = sorted({joint for link in links for joint in self._path(link)})
+        joints = sorted({joint for link in links for joint in self.path(link)})
         place = {joint: i for i, joint in enumerate([-1, *joints], start=-1)}
         sources, source = np.unique(self.source[joints], return_inverse=True)
         part = KinematicArrays(
@@ -78,27 +80,13 @@ class KinematicArrays:
         )
         return part, sources.astype(np.intp)
 
-    def _path(self, link: int) -> list[int]:
+    def path(self, link: int) -> list[int]:
         """The joints that carry a link, from the link to the root."""
         joints, joint = [], int(self.link_joint[link])
         while joint >= 0:
             joints.append(joint)
             joint = int(self.parent[joint])
         return joints
-
-    def _motions(self, positions: Array) -> Array:
-        """Transforms of the joints' own motions: positions (..., j) -> (..., j, 4, 4)."""
-        revolute = np.where(self.kind == REVOLUTE, positions, 0.0)[..., None, None]
-        slide = np.where(self.kind == PRISMATIC, positions, 0.0)[..., None]
-        cross = skew(self.axis)
-        motions = np.zeros((*positions.shape, 4, 4))
-        # Rodrigues' formula for unit axes.
-        motions[..., :3, :3] = (
-            np.eye(3) + np.sin(revolute) * cross + (1 - np.cos(revolute)) * (cross @ cross)
-        )
-        motions[..., :3, 3] = slide * self.axis
-        motions[..., 3, 3] = 1.0
-        return motions
 
 
 def build_chain(robot: Robot, link_names: Sequence[str]) -> KinematicArrays:

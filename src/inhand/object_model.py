@@ -1,6 +1,5 @@
 """The object to be found: its surface, distance field, point pairs and symmetry."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -10,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from inhand.cache import cached
+from inhand.cache import Arrays, cached, put_together, taken_apart
 from inhand.errors import InputError
 from inhand.geometry.distance_field import DistanceField, build_distance_field
 from inhand.geometry.mesh import TriangleMesh, from_trimesh, load_mesh
 from inhand.geometry.sampling import SurfaceSamples, sample_surface
 from inhand.object_symmetry import Symmetry, detect_symmetry
-from inhand.pair_table import ANGLE_STEPS, DISTANCE_STEPS, PairTable, build_pair_table
+from inhand.pair_table import PairTable, build_pair_table
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Units of length a mesh may come in, in metres."""
@@ -81,12 +80,19 @@ class ObjectModel:
         _check_size(mesh.diameter, unit)
         _check_place(mesh)
         arrays = cached(["object", mesh.content_key], lambda: _derive(mesh))
-        model = _assemble(mesh, arrays, name)
+        detected = put_together(Symmetry, "symmetry", arrays)
         if symmetry is None:
-            return model
-        if not isinstance(symmetry, Symmetry):  # "none"
-            symmetry = Symmetry.none(model.symmetry.centre)
-        return cls(mesh, model.surface, model.distance_field, model.pairs, symmetry, name)
+            symmetry = detected
+        elif not isinstance(symmetry, Symmetry):  # "none"
+            symmetry = Symmetry.none(detected.centre)
+        return cls(
+            mesh,
+            put_together(SurfaceSamples, "surface", arrays),
+            put_together(DistanceField, "field", arrays),
+            put_together(PairTable, "pairs", arrays),
+            symmetry,
+            name,
+        )
 
     @property
     def diameter(self) -> float:
@@ -136,44 +142,11 @@ def _check_place(mesh: TriangleMesh) -> None:
         )
 
 
-def _derive(mesh: TriangleMesh) -> dict[str, NDArray[Any]]:
+def _derive(mesh: TriangleMesh) -> Arrays:
     """Everything computed from the mesh, as arrays for the cache."""
     surface = sample_surface(mesh, SURFACE_POINTS)
     voxel = max(SMALLEST_VOXEL, mesh.diameter / FIELD_STEPS)
     field = build_distance_field(mesh, voxel, FIELD_MARGIN)
     pairs = build_pair_table(surface, mesh.diameter)
     symmetry = detect_symmetry(mesh, surface)
-    return {
-        "points": surface.points,
-        "normals": surface.normals,
-        "field_origin": field.origin,
-        "field_voxel": np.array(field.voxel),
-        "field_values": field.values,
-        "cell_start": pairs.cell_start,
-        "pair_first": pairs.pair_first,
-        "pair_second": pairs.pair_second,
-        "distance_step": np.array(pairs.distance_step),
-        "symmetry_centre": symmetry.centre,
-        "symmetry_axis": np.zeros(0) if symmetry.axis is None else symmetry.axis,
-        "symmetry_rotations": symmetry.rotations,
-    }
-
-
-def _assemble(mesh: TriangleMesh, a: Mapping[str, NDArray[Any]], name: str) -> ObjectModel:
-    """The model from the arrays of `_derive`."""
-    axis = a["symmetry_axis"] if a["symmetry_axis"].size else None
-    return ObjectModel(
-        mesh,
-        SurfaceSamples(a["points"], a["normals"]),
-        DistanceField(a["field_origin"], float(a["field_voxel"]), a["field_values"]),
-        PairTable(
-            a["cell_start"],
-            a["pair_first"],
-            a["pair_second"],
-            float(a["distance_step"]),
-            DISTANCE_STEPS,
-            ANGLE_STEPS,
-        ),
-        Symmetry(a["symmetry_centre"], axis, a["symmetry_rotations"]),
-        name,
-    )
+    return taken_apart(surface=surface, field=field, pairs=pairs, symmetry=symmetry)

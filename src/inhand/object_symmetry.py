@@ -23,9 +23,8 @@ from inhand.errors import InputError
 from inhand.geometry import se3
 from inhand.geometry.mesh import TriangleMesh
 from inhand.geometry.sampling import SurfaceSamples
+from inhand.geometry.se3 import Array
 from inhand.kernels import mesh_queries
-
-Array = NDArray[np.float64]
 
 MEAN_TOLERANCE = 0.006
 """Largest mean distance of the rotated samples from the surface, relative to the diameter."""
@@ -106,10 +105,7 @@ class Symmetry:
 def rotations_about(centre: Array, axis: Array, angles: Any) -> Array:
     """Transforms that rotate by `angles` [rad] about an axis through `centre`, shape (k, 4, 4)."""
     angles = np.atleast_1d(np.asarray(angles, dtype=np.float64))
-    out = np.tile(np.eye(4), (len(angles), 1, 1))
-    out[:, :3, :3] = se3.exp_so3(angles[:, None] * axis)
-    out[:, :3, 3] = centre - out[:, :3, :3] @ centre
-    return out
+    return _about(centre, se3.exp_so3(angles[:, None] * axis))
 
 
 def detect_symmetry(mesh: TriangleMesh, surface: SurfaceSamples) -> Symmetry:
@@ -125,7 +121,8 @@ def detect_symmetry(mesh: TriangleMesh, surface: SurfaceSamples) -> Symmetry:
     """
     matcher = _SelfMatcher(mesh, surface)
     centre = matcher.centre
-    if matcher.fits(_random_rotations_about(centre, 12)).all():
+    rng = np.random.default_rng(0)
+    if matcher.fits(_about(centre, np.stack([se3.random_rotation(rng) for _ in range(12)]))).all():
         return _sphere(centre)
     found = matcher.align(matcher.promising_rotations())
     turned = se3.rotation_angle(found[:, :3, :3], np.eye(3)) > np.pi / LARGEST_ORDER
@@ -200,7 +197,9 @@ class _SelfMatcher:
             # Weak damping: a continuous symmetry leaves a direction free.
             H += np.diag([1e-3 * self.diameter**2] * 3 + [1e-3] * 3)
             step = -np.linalg.solve(H, np.einsum("kni,kn->ki", weighted, error)[..., None])
-            T = _about(self.centre, se3.exp(step[..., 0])) @ T
+            motion = _about(self.centre, se3.exp_so3(step[:, :3, 0]))
+            motion[:, :3, 3] += step[:, 3:, 0]
+            T = motion @ T
         return T
 
 
@@ -209,11 +208,12 @@ def _apply(T: Array, points: Array) -> Array:
     return np.asarray(points @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
 
 
-def _about(centre: Array, T: Array) -> Array:
-    """The transforms (k, 4, 4) with their rotation taken about `centre` instead of the origin."""
-    out = T.copy()
-    out[:, :3, 3] += centre - T[:, :3, :3] @ centre
-    return out
+def _about(centre: Array, rotations: Array) -> Array:
+    """Transforms (k, 4, 4) of rotations (k, 3, 3) about `centre`."""
+    T = np.tile(np.eye(4), (len(rotations), 1, 1))
+    T[:, :3, :3] = rotations
+    T[:, :3, 3] = centre - T[:, :3, :3] @ centre
+    return T
 
 
 def _axis_of(T: Array) -> Array:
@@ -239,18 +239,10 @@ def _common_centre(T: Array, guess: Array) -> Array:
     return np.asarray(guess + np.linalg.lstsq(A, b, rcond=0.05)[0])
 
 
-def _random_rotations_about(centre: Array, count: int) -> Array:
-    rng = np.random.default_rng(0)
-    T = np.tile(np.eye(4), (count, 1, 1))
-    T[:, :3, :3] = [se3.random_rotation(rng) for _ in range(count)]
-    return _about(centre, T)
-
-
 def _sphere(centre: Array) -> Symmetry:
     z = np.array([0.0, 0.0, 1.0])
-    T = np.tile(np.eye(4), (SPHERE_AXES, 1, 1))
-    T[:, :3, :3] = [se3.rotation_between(z, d) for d in even_directions(SPHERE_AXES)]
-    return Symmetry(centre, z, _about(centre, T))
+    turns = np.stack([se3.rotation_between(z, d) for d in even_directions(SPHERE_AXES)])
+    return Symmetry(centre, z, _about(centre, turns))
 
 
 def _axial(matcher: _SelfMatcher, centre: Array, axis: Array) -> Symmetry:

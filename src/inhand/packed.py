@@ -2,19 +2,21 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
+import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
 from inhand.hand import Hand
-from inhand.kernels.depth import DepthRenderer, bounding_sphere, pinhole
+from inhand.kernels.depth import DepthRenderer, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.kinematics import Chain, pose_links
 from inhand.kernels.launch import launch
+from inhand.kernels.pair_matching import PairTable
 from inhand.kinematics import KinematicArrays
 from inhand.object_model import ObjectModel
 
@@ -32,7 +34,6 @@ class PackedHand:
         points, normals: surface samples of all links, link frames, `wp.vec3`.
         link: index of the link of every sample, int.
         point_start: first sample of every link, and the end of the last, numpy (L + 1,).
-        spheres: bounding sphere of every link, link frame (centre, radius) [m], `wp.vec4`.
         chain: the kinematics, `kernels.kinematics.Chain`.
         lower, upper: limits of the independent joints [rad, m], float64 (n).
         is_palm: whether each link is rigid with the root, numpy (L,).
@@ -45,19 +46,17 @@ class PackedHand:
     def __init__(self, hand: Hand, device: str) -> None:
         self.hand = hand
         self.device = device
-        self.fields = pack_fields([link.distance_field for link in hand.links], device)
-        counts = [len(link.surface.points) for link in hand.links]
+        self.fields = pack_fields(
+            [link.distance_field for link in hand.links], [link.mesh for link in hand.links], device
+        )
+        surfaces = [link.surface for link in hand.links]
+        self.points, self.normals = (
+            wp.array(np.concatenate(vectors), dtype=wp.vec3, device=device)
+            for vectors in ([x.points for x in surfaces], [x.normals for x in surfaces])
+        )
+        counts = [len(surface.points) for surface in surfaces]
         self.point_start = np.cumsum([0, *counts])
-        self.points = wp.array(
-            np.concatenate([x.surface.points for x in hand.links]), dtype=wp.vec3, device=device
-        )
-        self.normals = wp.array(
-            np.concatenate([x.surface.normals for x in hand.links]), dtype=wp.vec3, device=device
-        )
         self.link = wp.array(np.repeat(np.arange(len(counts)), counts), dtype=int, device=device)
-        self.spheres = wp.array(
-            [bounding_sphere(link.mesh) for link in hand.links], dtype=wp.vec4, device=device
-        )
         self.chain = pack_chain(hand.chain, device)
         self.lower, self.upper = (
             wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
@@ -69,10 +68,7 @@ class PackedHand:
         apart = (part[:, None] != part).astype(np.int32)
         self.apart = wp.array(apart.reshape(-1), dtype=int, device=device)
         self._no_image = wp.empty(0, dtype=int, device=device)
-        boxes = np.stack([link.mesh.bounds for link in hand.links])
-        self.corners = np.stack(
-            [boxes[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1
-        )
+        self.corners = np.stack([trimesh.bounds.corners(link.mesh.bounds) for link in hand.links])
         self.whole = PackedPart(hand, range(len(hand.links)), device)
         self.fingers = [PackedPart(hand, finger.links, device) for finger in hand.fingers]
 
@@ -189,37 +185,31 @@ class PackedObject:
         device: Warp device name.
         fields: its distance field, `kernels.fields.Fields` with one body.
         points, normals: surface samples in progressive order, object frame, `wp.vec3`.
-        cell_start, pair_first, pair_second: the pair table, int.
+        pairs: the pair table, `kernels.pair_matching.PairTable`.
         renderer: ray caster of the object.
     """
 
     def __init__(self, model: ObjectModel, device: str) -> None:
         self.model = model
         self.device = device
-        self.fields = pack_fields([model.distance_field], device)
+        self.fields = pack_fields([model.distance_field], [model.mesh], device)
         self.points = wp.array(model.surface.points, dtype=wp.vec3, device=device)
         self.normals = wp.array(model.surface.normals, dtype=wp.vec3, device=device)
-        self.cell_start = wp.array(model.pairs.cell_start, dtype=int, device=device)
-        self.pair_first = wp.array(model.pairs.pair_first, dtype=int, device=device)
-        self.pair_second = wp.array(model.pairs.pair_second, dtype=int, device=device)
+        self.pairs = pairs = PairTable()
+        pairs.points, pairs.normals = self.points, self.normals
+        for name in ("cell_start", "pair_first", "pair_second"):
+            setattr(pairs, name, wp.array(getattr(model.pairs, name), dtype=int, device=device))
+        pairs.distance_step = model.pairs.distance_step
+        pairs.n_distance, pairs.n_angle = model.pairs.n_distance, model.pairs.n_angle
         self.renderer = DepthRenderer([model.mesh], device)
 
 
 def pack_chain(arrays: KinematicArrays, device: str) -> Any:
     """The kinematics of a hand, or of a part of it, as a kernel argument."""
     chain = Chain()
-    for name, dtype in (
-        ("parent", int),
-        ("T_parent_joint", wp.mat44d),
-        ("axis", wp.vec3d),
-        ("kind", int),
-        ("source", int),
-        ("multiplier", wp.float64),
-        ("offset", wp.float64),
-        ("link_joint", int),
-        ("T_joint_link", wp.mat44d),
-    ):
-        setattr(chain, name, wp.array(getattr(arrays, name), dtype=dtype, device=device))
+    members = get_type_hints(Chain.cls)  # type: ignore[attr-defined]  # of the Warp struct
+    for name, kind in members.items():
+        setattr(chain, name, wp.array(getattr(arrays, name), dtype=kind.dtype, device=device))
     return chain
 
 

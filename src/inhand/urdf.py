@@ -6,8 +6,9 @@ Nothing is loaded here but XML: the meshes themselves are read when their link i
 import math
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -22,6 +23,8 @@ SHAPE_SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("r
 UNREADABLE_XML = (ElementTree.ParseError, LookupError, ValueError)  # also unknown encodings
 
 PackagePaths = Mapping[str, str | Path]
+FindMesh = Callable[[str, str], Path]
+"""From the address in the URDF and what it belongs to, to the file."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,7 @@ def read_urdf(path: str | Path, package_paths: PackagePaths | None = None) -> Ro
     path = file_path(path, "URDF file")
     robot = _parse_xml(path)
     name = robot.get("name") or path.stem
-    find_mesh = _MeshFinder(path.resolve().parent, dict(package_paths or {}))
+    find_mesh = partial(_find_mesh, path.resolve().parent, package_paths or {})
     links = tuple(_read_link(element, find_mesh) for element in robot.findall("link"))
     if not links:
         raise InputError(f"{path} has no <link>: it describes no hand")
@@ -167,8 +170,8 @@ def _numbers(text: str, count: int, where: str) -> tuple[float, ...]:
     """`count` finite numbers, separated by spaces or commas."""
     try:
         values = tuple(float(word) for word in text.replace(",", " ").split())
-    except ValueError as error:
-        raise InputError(f'{where}: expected {count} number(s), got "{text}"') from error
+    except ValueError:
+        values = ()
     if len(values) != count:
         raise InputError(f'{where}: expected {count} number(s), got "{text}"')
     if not all(math.isfinite(value) for value in values):
@@ -191,13 +194,13 @@ def _read_origin(element: ElementTree.Element, where: str) -> Array:
 # Links
 
 
-def _read_link(element: ElementTree.Element, find_mesh: "_MeshFinder") -> UrdfLink:
+def _read_link(element: ElementTree.Element, find_mesh: FindMesh) -> UrdfLink:
     name = _attribute(element, "name", "the URDF")
     shapes = element.findall("visual") or element.findall("collision")
     return UrdfLink(name, tuple(_read_shape(s, f'link "{name}"', find_mesh) for s in shapes))
 
 
-def _read_shape(element: ElementTree.Element, where: str, find_mesh: "_MeshFinder") -> Shape:
+def _read_shape(element: ElementTree.Element, where: str, find_mesh: FindMesh) -> Shape:
     T_link_shape = _read_origin(element, where)
     geometry = element.find("geometry")
     shape = None if geometry is None or len(geometry) == 0 else geometry[0]
@@ -228,45 +231,40 @@ def _read_scale(element: ElementTree.Element, where: str) -> tuple[float, float,
     return x, y, z
 
 
-@dataclass(frozen=True)
-class _MeshFinder:
-    """Finds the file behind a mesh address: a path, `file://` or `package://`."""
+def _find_mesh(folder: Path, package_paths: PackagePaths, address: str, where: str) -> Path:
+    """The file behind a mesh address in a URDF of this folder."""
+    candidates = _mesh_candidates(folder, package_paths, address)
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    tried = ", ".join(dict.fromkeys(map(str, candidates)))
+    hint = "mesh paths are relative to the folder of the URDF"
+    if address.startswith(("package://", "model://")):
+        package = address.split("/")[2]
+        hint = f'say where the package is with package_paths={{"{package}": folder}}'
+    raise InputError(f"{where}: mesh file {address} not found; tried {tried}; {hint}")
 
-    folder: Path
-    """The folder of the URDF."""
-    package_paths: dict[str, str | Path]
 
-    def __call__(self, address: str, where: str) -> Path:
-        candidates = self._candidates(address)
-        for candidate in candidates:
-            if candidate.is_file():
-                return candidate
-        tried = ", ".join(dict.fromkeys(map(str, candidates)))
-        hint = "mesh paths are relative to the folder of the URDF"
-        if address.startswith(("package://", "model://")):
-            package = address.split("/")[2]
-            hint = f'say where the package is with package_paths={{"{package}": folder}}'
-        raise InputError(f"{where}: mesh file {address} not found; tried {tried}; {hint}")
-
-    def _candidates(self, address: str) -> list[Path]:
-        scheme, separator, rest = address.partition("://")
-        if not separator:
-            return [self.folder / address]
-        if scheme == "file":
-            return [self.folder / unquote(rest)]
-        if scheme not in ("package", "model"):
-            raise InputError(
-                f"cannot read mesh address {address}: expected a path, file:// or package://"
-            )
-        package, _, inside = rest.partition("/")
-        if package in self.package_paths:
-            return [Path(self.package_paths[package]) / inside]
-        above = (self.folder, *self.folder.parents)
-        packages = [f for f in above if package in (f.name, _package_name(f))]
-        packages += [folder / package for folder in above]
-        # Copied out of its package, a URDF usually keeps its meshes beside it or one folder up.
-        packages += above[:2]
-        return [folder / inside for folder in packages]
+def _mesh_candidates(folder: Path, package_paths: PackagePaths, address: str) -> list[Path]:
+    """Where a mesh may lie, for an address that is a path, `file://` or `package://`."""
+    scheme, separator, rest = address.partition("://")
+    if not separator:
+        return [folder / address]
+    if scheme == "file":
+        return [folder / unquote(rest)]
+    if scheme not in ("package", "model"):
+        raise InputError(
+            f"cannot read mesh address {address}: expected a path, file:// or package://"
+        )
+    package, _, inside = rest.partition("/")
+    if package in package_paths:
+        return [Path(package_paths[package]) / inside]
+    above = (folder, *folder.parents)
+    packages = [f for f in above if package in (f.name, _package_name(f))]
+    packages += [f / package for f in above]
+    # Copied out of its package, a URDF usually keeps its meshes beside it or one folder up.
+    packages += above[:2]
+    return [f / inside for f in packages]
 
 
 def _package_name(folder: Path) -> str | None:
@@ -290,10 +288,9 @@ def _read_joint(element: ElementTree.Element) -> UrdfJoint:
             f"{', '.join((*MOVABLE_KINDS, 'fixed'))}. The wrist pose belongs to the input, not to "
             "the URDF: let the file start at the palm, and split other joints into these types"
         )
-    ends = {end: element.find(end) for end in ("parent", "child")}
     parent, child = (
-        _attribute(ElementTree.Element(end) if e is None else e, "link", where)
-        for end, e in ends.items()
+        _attribute(next(element.iterfind(end), ElementTree.Element(end)), "link", where)
+        for end in ("parent", "child")
     )
     mimic = _read_mimic(element, where) if kind != "fixed" else None
     lower, upper = _read_limits(element, kind, mimic is not None, where)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from inhand.baselines.method import View
 from inhand.baselines.registration import Registration
+from inhand.baselines.views import spread_directions
 from inhand.camera import Camera
 from inhand.errors import NoAnswer
 from inhand.geometry import se3
-from inhand.geometry.sampling import spread_directions
 from inhand.packed import PackedObject
 from inhand.stages.observation import Cloud
 

@@ -18,8 +18,8 @@ from inhand.baselines.super4pcs_kernels import (
     find_slots,
     sample_wide_bases,
 )
+from inhand.baselines.views import spread_directions
 from inhand.errors import NoAnswer
-from inhand.geometry.sampling import spread_directions
 from inhand.kernels.alignment import align_quadruples
 from inhand.kernels.launch import launch
 from inhand.kernels.lcp import pose_lcp

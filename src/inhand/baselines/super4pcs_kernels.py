@@ -6,8 +6,6 @@ import warp as wp
 from inhand.kernels.congruent_sets import even_choice, pair_up
 from inhand.kernels.pair_matching import angle_between
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class WideBaseRule:

@@ -90,17 +90,19 @@ class TriangleMesh:
     @cached_property
     def face_normals(self) -> NDArray[np.float64]:
         """Unit normals of the faces by their winding, shape (m, 3)."""
-        corner = self.triangles
-        cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        length = np.linalg.norm(cross, axis=1, keepdims=True)
-        return np.asarray(cross / np.maximum(length, np.finfo(float).tiny))
+        length = np.linalg.norm(self._edge_products, axis=1, keepdims=True)
+        return np.asarray(self._edge_products / np.maximum(length, np.finfo(float).tiny))
 
     @cached_property
     def face_areas(self) -> NDArray[np.float64]:
         """Areas of the faces [m^2], shape (m,)."""
-        corner = self.triangles
-        cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        return np.asarray(np.linalg.norm(cross, axis=1) / 2)
+        return np.asarray(np.linalg.norm(self._edge_products, axis=1) / 2)
+
+    @cached_property
+    def _edge_products(self) -> NDArray[np.float64]:
+        """Cross products of two edges of every face, shape (m, 3)."""
+        a, b, c = self.triangles.swapaxes(0, 1)
+        return np.asarray(np.cross(b - a, c - a))
 
 
 def load_mesh(path: str | PathLike[str], scale: ArrayLike = 1.0) -> TriangleMesh:

@@ -60,11 +60,3 @@ def sample_surface(mesh: TriangleMesh, count: int, seed: int = 0) -> SurfaceSamp
     start = int(np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1)))
     chosen = mesh_queries.farthest_point_order(points, count, start)
     return SurfaceSamples(points[chosen].astype(np.float32), normals[chosen].astype(np.float32))
-
-
-def spread_directions(count: int) -> NDArray[np.float64]:
-    """Unit vectors (count, 3) spread evenly over the sphere: a Fibonacci spiral."""
-    k = np.arange(count) + 0.5
-    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    width = np.sqrt(1 - z**2)
-    return np.stack([width * np.cos(turn), width * np.sin(turn), z], axis=1)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from inhand.checks import number_array
 from inhand.errors import InputError
@@ -99,14 +100,8 @@ def rotation_angle(R_a: Array, R_b: Array) -> Array:
 
 def random_rotation(rng: np.random.Generator) -> Array:
     """A rotation drawn uniformly from SO(3), shape (3, 3)."""
-    w, x, y, z = (q := rng.normal(size=4)) / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    w, x, y, z = rng.normal(size=4)
+    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
 
 
 def rotation_between(a: Array, b: Array) -> Array:

@@ -2,18 +2,7 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def pose_of(R: wp.mat33, t: wp.vec3):
-    """The 4x4 transform of a rotation and a translation."""
-    return wp.mat44(
-        R[0, 0], R[0, 1], R[0, 2], t[0],
-        R[1, 0], R[1, 1], R[1, 2], t[1],
-        R[2, 0], R[2, 1], R[2, 2], t[2],
-        0.0, 0.0, 0.0, 1.0,
-    )  # fmt: skip
+from inhand.kernels.transforms import rigid
 
 
 @wp.kernel
@@ -50,4 +39,4 @@ def align_quadruples(
     # reflection as a negative last singular value, so the product is the best rotation.
     u, _sigma, v = wp.svd3(covariance / wp.max(size, 1.0e-12))
     R = u * wp.transpose(v)
-    T_target_source[i] = pose_of(R, target_mean - R * source_mean)
+    T_target_source[i] = rigid(R, target_mean - R * source_mean)

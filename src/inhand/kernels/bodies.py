@@ -3,14 +3,12 @@
 import warp as wp
 
 from inhand.kernels.fields import Fields, field_at
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import to_local
 
 
 @wp.func
 def nearest_body(
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     T_world_body: wp.array(dtype=wp.mat44),
     first_pose: int,
     used: wp.array(dtype=int),
@@ -23,23 +21,22 @@ def nearest_body(
     Distances from `farthest` on are cut off there, with a zero gradient and index -1.
 
     Args (beyond the obvious):
-        spheres: bounding sphere of every body, body frame (centre, radius) [m].
         T_world_body: poses, those of interest from `first_pose` on.
         used: per body, from `first_used` on; 0 leaves it out.
     """
     best = farthest
     nearest = int(-1)
     gradient = wp.vec3(0.0, 0.0, 0.0)
-    for body in range(spheres.shape[0]):
+    for body in range(fields.start.shape[0]):
         if used[first_used + body] == 0:
             continue
         T = T_world_body[first_pose + body]
-        s = spheres[body]
-        offset = p - wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
+        s = fields.sphere[body]
+        offset = p - wp.transform_point(T, s[:3])
         bound = s[3] + wp.max(best, 0.0)
         if wp.dot(offset, offset) > bound * bound:
             continue
-        local = wp.transform_vector(wp.transpose(T), p - wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+        local = to_local(T, p)
         outside = wp.max(fields.low[body] - local, local - fields.high[body])
         if wp.max(outside) > wp.max(best, 0.0):
             continue
@@ -47,5 +44,5 @@ def nearest_body(
         if value[0] < best:
             best = value[0]
             nearest = body
-            gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+            gradient = wp.transform_vector(T, value[1:4])
     return best, gradient, nearest

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from inhand.kernels.launch import launch
 
-wp.set_module_options({"enable_backward": False})
-
 DEVICE = "cpu"
 
 
@@ -101,18 +99,14 @@ def pose_leaders(
         distance: poses nearer than this follow a leader [m].
         angle: if their rotations differ by less than this [rad]; not compared from pi on.
     """
-
-    def on_device(a: NDArray[Any], dtype: Any) -> Any:
-        return wp.array(np.asarray(a, dtype=np.float32), dtype=dtype, device=DEVICE)
-
     edges = wp.array([*group_start, len(points)], dtype=int, device=DEVICE)
     leaders = wp.empty(len(points), dtype=int, device=DEVICE)
     leader = wp.empty(len(points), dtype=int, device=DEVICE)
     inputs = [
         edges,
-        on_device(points, wp.vec3),
-        on_device(rotations, wp.mat33),
-        on_device(symmetries, wp.mat33),
+        wp.array(points, dtype=wp.vec3, device=DEVICE),
+        wp.array(rotations, dtype=wp.mat33, device=DEVICE),
+        wp.array(symmetries, dtype=wp.mat33, device=DEVICE),
         wp.vec3(*(np.zeros(3) if axis is None else axis)),
         distance,
         angle,

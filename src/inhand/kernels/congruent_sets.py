@@ -10,15 +10,16 @@ import warp as wp
 
 from inhand.kernels.pair_matching import PairTable, angle_between
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.func
-def pair_feature(p: wp.vec3, n_p: wp.vec3, q: wp.vec3, n_q: wp.vec3):
-    """PPF(p, q): distance [m] and angles of n_p and line, n_q and line, n_p and n_q [rad]."""
-    line = q - p
+def pair_feature(points: wp.array(dtype=wp.vec3), normals: wp.array(dtype=wp.vec3), p: int, q: int):
+    """PPF of points p and q: distance [m] and angles of n_p and line, n_q and line, n_p and n_q
+    [rad]."""
+    line = points[q] - points[p]
     distance = wp.length(line)
     d = line / wp.max(distance, 1.0e-9)
+    n_p = normals[p]
+    n_q = normals[q]
     return wp.vec4(distance, angle_between(n_p, d), angle_between(n_q, d), angle_between(n_p, n_q))
 
 
@@ -77,11 +78,11 @@ def draw(pi: wp.array2d(dtype=float), row: int, r: float):
 
 
 @wp.func
-def crossing_ratios(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
-    """Where the lines ab and cd come nearest: a + r1 (b - a) and c + r2 (d - c)."""
-    u = b - a
-    v = d - c
-    w = a - c
+def crossing_ratios(points: wp.array(dtype=wp.vec3), base: wp.vec4i):
+    """Where the lines ab and cd of a base's points come nearest: a + r1 (b - a), c + r2 (d - c)."""
+    u = points[base[1]] - points[base[0]]
+    v = points[base[3]] - points[base[2]]
+    w = points[base[0]] - points[base[2]]
     uu = wp.dot(u, u)
     vv = wp.dot(v, v)
     uv = wp.dot(u, v)
@@ -124,7 +125,7 @@ def sample_bases(
         return
     p1 = points[b1]
     for k in range(points.shape[0]):
-        if not known_to_model(model, rule, pair_feature(points[k], normals[k], p1, normals[b1])):
+        if not known_to_model(model, rule, pair_feature(points, normals, k, b1)):
             pi[i, k] = 0.0
     pi[i, b1] = 0.0
 
@@ -138,7 +139,7 @@ def sample_bases(
             continue
         pi[i, j] = rule.discount * pi[i, j]
         pi[i, k] = rule.discount * pi[i, k]
-        f23 = pair_feature(points[j], normals[j], points[k], normals[k])
+        f23 = pair_feature(points, normals, j, k)
         if not known_to_model(model, rule, f23):
             continue
         u = wp.normalize(points[j] - p1)
@@ -159,11 +160,10 @@ def sample_bases(
         if b4 < 0:
             return
         pi[i, b4] = rule.discount * pi[i, b4]
-        p4 = points[b4]
-        if wp.abs(wp.dot(plane, p4 - p1)) > rule.coplanarity:
+        if wp.abs(wp.dot(plane, points[b4] - p1)) > rule.coplanarity:
             continue
-        f24 = pair_feature(points[b2], normals[b2], p4, normals[b4])
-        f34 = pair_feature(points[b3], normals[b3], p4, normals[b4])
+        f24 = pair_feature(points, normals, b2, b4)
+        f34 = pair_feature(points, normals, b3, b4)
         if known_to_model(model, rule, f24) and known_to_model(model, rule, f34):
             pair_up(points, wp.vec4i(b1, b2, b3, b4), i, bases, ratios)
             return
@@ -185,9 +185,7 @@ def pair_up(
             paired = wp.vec4i(base[0], base[2], base[1], base[3])
         if k == 2:
             paired = wp.vec4i(base[0], base[3], base[1], base[2])
-        r = crossing_ratios(
-            points[paired[0]], points[paired[1]], points[paired[2]], points[paired[3]]
-        )
+        r = crossing_ratios(points, paired)
         outside = wp.max(wp.abs(r[0] - 0.5), wp.abs(r[1] - 0.5))
         if outside < best:
             best = outside
@@ -246,7 +244,8 @@ def find_pairs(
     b = bases[base][2 * side + 1]
     ratio = ratios[base][side]
     shift = wp.vec3(float(base) * spread, 0.0, 0.0)
-    wanted = pair_feature(points[a], normals[a], points[b], normals[b])
+    wanted = pair_feature(points, normals, a, b)
+    tolerances = wp.vec4(tolerance, angle_tolerance, angle_tolerance, angle_tolerance)
     n = model.n_angle
     lo_d = wp.max(int((wanted[0] - tolerance) / model.distance_step), 0)
     hi_d = wp.min(int((wanted[0] + tolerance) / model.distance_step), model.n_distance - 1)
@@ -263,27 +262,18 @@ def find_pairs(
                 # Cells that differ in the last angle alone lie one after the other.
                 row = ((d * n + bin_1) * n + bin_2) * n
                 for k in range(model.cell_start[row + lo_3], model.cell_start[row + hi_3 + 1]):
-                    p = model.points[model.pair_first[k]]
-                    q = model.points[model.pair_second[k]]
-                    f = pair_feature(
-                        p,
-                        model.normals[model.pair_first[k]],
-                        q,
-                        model.normals[model.pair_second[k]],
-                    )
-                    off = f - wanted
-                    if (
-                        wp.abs(off[0]) > tolerance
-                        or wp.abs(off[1]) > angle_tolerance
-                        or wp.abs(off[2]) > angle_tolerance
-                        or wp.abs(off[3]) > angle_tolerance
-                    ):
+                    first_point = model.pair_first[k]
+                    second_point = model.pair_second[k]
+                    f = pair_feature(model.points, model.normals, first_point, second_point)
+                    if wp.min(tolerances - wp.abs(f - wanted)) < 0.0:
                         continue
                     if pair.shape[0] > 0:
                         place = even_choice(found, count[i], limit)
                         if place >= 0:
                             pair[start[i] + place] = k
-                            middle[start[i] + place] = p + ratio * (q - p) + shift
+                            p = model.points[first_point]
+                            line = model.points[second_point] - p
+                            middle[start[i] + place] = p + ratio * line + shift
                     found += 1
     count[i] = found
 
@@ -293,12 +283,13 @@ PARALLEL = wp.constant(1.0e-5)
 
 
 @wp.func
-def handedness(u: wp.vec3, v: wp.vec3, n1: wp.vec3, n2: wp.vec3, n3: wp.vec3, n4: wp.vec3):
+def handedness(u: wp.vec3, v: wp.vec3, normals: wp.array(dtype=wp.vec3), base: wp.vec4i):
     """On which side of the plane of lines u and v the surface looks; tells mirror images apart."""
     across = wp.cross(u, v)
     if wp.length(across) < PARALLEL:  # no plane
         return 0.0
-    return 0.25 * wp.dot(wp.normalize(across), n1 + n2 + n3 + n4)
+    total = normals[base[0]] + normals[base[1]] + normals[base[2]] + normals[base[3]]
+    return 0.25 * wp.dot(wp.normalize(across), total)
 
 
 @wp.kernel
@@ -346,7 +337,7 @@ def match_pairs(
     u = wp.normalize(points[b[1]] - points[b[0]])
     v = wp.normalize(points[b[3]] - points[b[2]])
     angle = angle_between(u, v)
-    side = handedness(u, v, normals[b[0]], normals[b[1]], normals[b[2]], normals[b[3]])
+    side = handedness(u, v, normals, b)
     q0 = model.pair_first[pair[i]]
     q1 = model.pair_second[pair[i]]
     u = wp.normalize(model.points[q1] - model.points[q0])
@@ -362,14 +353,12 @@ def match_pairs(
         v = wp.normalize(model.points[q3] - model.points[q2])
         if wp.abs(angle_between(u, v) - angle) > angle_tolerance:
             continue
-        same = handedness(
-            u, v, model.normals[q0], model.normals[q1], model.normals[q2], model.normals[q3]
-        )
-        if wp.abs(same - side) > side_tolerance:
+        found_set = wp.vec4i(q0, q1, q2, q3)
+        if wp.abs(handedness(u, v, model.normals, found_set) - side) > side_tolerance:
             continue
         if sets.shape[0] > 0:
             place = even_choice(rank[i] + found, total[base], limit)
             if place >= 0:
-                sets[set_start[base] + place] = wp.vec4i(q0, q1, q2, q3)
+                sets[set_start[base] + place] = found_set
         found += 1
     count[i] = found

@@ -3,20 +3,7 @@
 import warp as wp
 
 from inhand.kernels.fields import Fields, field_at
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def rigid_inverse(T: wp.mat44):
-    """Inverse of a rigid transform."""
-    t = wp.transform_vector(wp.transpose(T), wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
-    return wp.mat44(
-        T[0, 0], T[1, 0], T[2, 0], -t[0],
-        T[0, 1], T[1, 1], T[2, 1], -t[1],
-        T[0, 2], T[1, 2], T[2, 2], -t[2],
-        0.0, 0.0, 0.0, 1.0,
-    )  # fmt: skip
+from inhand.kernels.transforms import rigid, to_local
 
 
 @wp.kernel
@@ -25,7 +12,6 @@ def link_clearances(
     points: wp.array(dtype=wp.vec3),
     n_points: int,
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     T_camera_link: wp.array(dtype=wp.mat44),
     farthest: float,
     clearance: wp.array(dtype=float),
@@ -36,17 +22,19 @@ def link_clearances(
 
     Args (beyond the obvious):
         points: surface samples of the object, object frame; the first `n_points` are used.
-        spheres: bounding sphere of every link, link frame (centre, radius) [m].
         farthest: larger distances are cut off here [m].
         clearance: out, flat (pose, link); negative is the depth of the penetration.
     """
     i = first + wp.tid()
-    n_links = spheres.shape[0]
+    n_links = fields.start.shape[0]
     link = i % n_links
-    T = rigid_inverse(T_camera_link[link]) * T_camera_object[i // n_links]
-    s = spheres[link]
+    T_object = T_camera_object[i // n_links]
+    T_link = T_camera_link[link]
+    inverse = wp.transpose(T_link[:3, :3])
+    T = rigid(inverse @ T_object[:3, :3], to_local(T_link, T_object[:3, 3]))
+    s = fields.sphere[link]
     # The sphere goes to the points: most of them need no transform then.
-    centre = wp.transform_point(rigid_inverse(T), wp.vec3(s[0], s[1], s[2]))
+    centre = to_local(T, s[:3])
     nearest = farthest
     for k in range(n_points):
         offset = points[k] - centre
@@ -83,15 +71,13 @@ def configuration_clearances(
     """
     i = first + wp.tid()
     T = T_camera_object[i // n_configurations]
-    inverse = wp.transpose(T)
-    origin = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     links = (i % n_configurations) * n_links
     middle = 0.5 * (fields.low[0] + fields.high[0])
     radius = wp.length(fields.high[0] - middle)
     nearest = farthest
     for k in range(n_points):
         p = wp.transform_point(T_camera_link[links + link[k]], points[k])
-        local = wp.transform_vector(inverse, p - origin)
+        local = to_local(T, p)
         bound = radius + wp.max(nearest, 0.0)
         if wp.length_sq(local - middle) < bound * bound:
             nearest = wp.min(nearest, field_at(fields, 0, local)[0])

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from inhand.camera import Camera
 from inhand.geometry.mesh import TriangleMesh
 from inhand.kernels.launch import launch
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.mesh_queries import device_mesh
+from inhand.kernels.transforms import to_local
 
 
 @wp.struct
@@ -58,16 +58,13 @@ def cast_rays(
     for m in range(mesh_ids.shape[0]):
         T = T_camera_mesh[m]
         s = spheres[m]
-        centre = wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
+        centre = wp.transform_point(T, s[:3])
         along = wp.dot(centre, ray) / ray_squared
         miss = centre - along * ray
-        if wp.dot(miss, miss) > s[3] * s[3]:
+        if wp.dot(miss, miss) > s[3] * s[3] or along - s[3] > nearest:
             continue
-        if along - s[3] > nearest:
-            continue
-        inverse = wp.transpose(T)
-        direction = wp.transform_vector(inverse, ray)
-        origin = -wp.transform_vector(inverse, wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+        direction = wp.transform_vector(wp.transpose(T), ray)
+        origin = to_local(T, wp.vec3())
         # The ray has unit z, so the parameter of the hit is its depth. The direction must be
         # normalised for the query.
         length = wp.sqrt(ray_squared)
@@ -75,10 +72,7 @@ def cast_rays(
         if hit.result:
             nearest = hit.t / length
             winner = m
-    if winner >= 0:
-        depth[i] = nearest
-    else:
-        depth[i] = 0.0
+    depth[i] = wp.where(winner >= 0, nearest, 0.0)
     mesh_index[i] = winner
 
 
@@ -92,17 +86,10 @@ class DepthRenderer:
 
     def __init__(self, meshes: Sequence[TriangleMesh], device: str = "cpu") -> None:
         self.device = device
-        self._meshes = [
-            wp.Mesh(
-                points=wp.array(mesh.vertices, dtype=wp.vec3, device=device),
-                indices=wp.array(mesh.faces.reshape(-1), dtype=int, device=device),
-            )
-            for mesh in meshes
-        ]
+        self._meshes = [device_mesh(mesh.vertices, mesh.faces, device) for mesh in meshes]
         self.mesh_ids = wp.array([m.id for m in self._meshes], dtype=wp.uint64, device=device)
-        self.spheres = wp.array(
-            [bounding_sphere(mesh) for mesh in meshes], dtype=wp.vec4, device=device
-        )
+        spheres = [bounding_sphere(mesh) for mesh in meshes]
+        self.spheres = wp.array(spheres, dtype=wp.vec4, device=device)
 
     def render(
         self, camera: Camera, T_camera_mesh: NDArray[np.float64]
@@ -125,19 +112,12 @@ class DepthRenderer:
         self, camera: Camera, T_camera_mesh: NDArray[np.float64]
     ) -> tuple[Any, Any]:
         """As `render`, as Warp arrays of shape (H * W,) that stay on the device."""
-        poses = wp.array(
-            np.asarray(T_camera_mesh, dtype=np.float32), dtype=wp.mat44, device=self.device
-        )
+        poses = wp.array(T_camera_mesh, dtype=wp.mat44, device=self.device)
         n = camera.width * camera.height
         depth = wp.empty(n, dtype=float, device=self.device)
         index = wp.empty(n, dtype=int, device=self.device)
-        launch(
-            cast_rays,
-            n,
-            [pinhole(camera), self.mesh_ids, self.spheres, poses, depth, index],
-            self.device,
-            work_per_item=20,
-        )
+        inputs = [pinhole(camera), self.mesh_ids, self.spheres, poses, depth, index]
+        launch(cast_rays, n, inputs, self.device, work_per_item=20)
         return depth, index
 
 

@@ -4,8 +4,6 @@ import warp as wp
 
 from inhand.kernels.depth import Pinhole
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.kernel
 def fit_planes(
@@ -40,15 +38,10 @@ def fit_planes(
     radius = wp.clamp(int(window * camera.fx / z + 0.5), 2, 6)
     step = wp.max(1, radius // 2)
     tolerance = gate * window
+    # Of the vectors (x, y, inverse depth) from the pixel: number, sum and second moments.
     n = float(0.0)
-    sx = float(0.0)
-    sy = float(0.0)
-    sxx = float(0.0)
-    sxy = float(0.0)
-    syy = float(0.0)
-    sw = float(0.0)
-    sxw = float(0.0)
-    syw = float(0.0)
+    total = wp.vec3()
+    moments = wp.mat33()
     reach = (radius // step) * step
     for dv in range(-reach, reach + 1, step):
         for du in range(-reach, reach + 1, step):
@@ -59,34 +52,20 @@ def fit_planes(
             d = depth[y * camera.width + x]
             if d <= 0.0 or wp.abs(d - z) > tolerance:
                 continue
-            w = 1.0 / d - 1.0 / z
-            fx = float(du)
-            fy = float(dv)
+            sample = wp.vec3(float(du), float(dv), 1.0 / d - 1.0 / z)
             n += 1.0
-            sx += fx
-            sy += fy
-            sxx += fx * fx
-            sxy += fx * fy
-            syy += fy * fy
-            sw += w
-            sxw += fx * w
-            syw += fy * w
+            total += sample
+            moments += wp.outer(sample, sample)
     if n < 6.0:
         return
-    mx = sx / n
-    my = sy / n
-    mw = sw / n
-    cxx = sxx / n - mx * mx
-    cxy = sxy / n - mx * my
-    cyy = syy / n - my * my
-    cxw = sxw / n - mx * mw
-    cyw = syw / n - my * mw
-    determinant = cxx * cyy - cxy * cxy
-    if determinant < 0.05 * cxx * cyy or determinant < 1.0e-3:
+    mean = total / n
+    c = moments / n - wp.outer(mean, mean)
+    determinant = c[0, 0] * c[1, 1] - c[0, 1] * c[0, 1]
+    if determinant < 0.05 * c[0, 0] * c[1, 1] or determinant < 1.0e-3:
         return
-    a = (cxw * cyy - cyw * cxy) / determinant
-    b = (cyw * cxx - cxw * cxy) / determinant
-    centre = 1.0 / z + mw - a * mx - b * my
+    a = (c[0, 2] * c[1, 1] - c[1, 2] * c[0, 1]) / determinant
+    b = (c[1, 2] * c[0, 0] - c[0, 2] * c[0, 1]) / determinant
+    centre = 1.0 / z + mean[2] - a * mean[0] - b * mean[1]
     if centre <= 0.0:
         return
     smooth[i] = 1.0 / centre

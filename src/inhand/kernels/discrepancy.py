@@ -3,8 +3,7 @@
 import warp as wp
 
 from inhand.kernels.depth import Pinhole
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import to_local
 
 EMPTY = wp.constant(1.0e3)
 """Depth that stands for "nothing within reach" [m]."""
@@ -35,9 +34,9 @@ def depth_discrepancy(
     T = T_camera_object[i // camera.height]
     v = i % camera.height
     inverse = wp.transpose(T)
-    origin = -wp.transform_vector(inverse, wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+    origin = to_local(T, wp.vec3())
     s = sphere[0]
-    centre = wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
+    centre = wp.transform_point(T, s[:3])
     total = float(0.0)
     for u in range(camera.width):
         seen = observed[v * camera.width + u]

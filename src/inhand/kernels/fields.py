@@ -8,8 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.geometry.distance_field import DistanceField
-
-wp.set_module_options({"enable_backward": False})
+from inhand.geometry.mesh import TriangleMesh
+from inhand.kernels.depth import bounding_sphere
 
 
 @wp.struct
@@ -25,10 +25,14 @@ class Fields:
     low: wp.array(dtype=wp.vec3)
     """Corners of the box around the surface, body frame [m]."""
     high: wp.array(dtype=wp.vec3)
+    sphere: wp.array(dtype=wp.vec4)
+    """Bounding sphere of the surface, body frame (centre, radius) [m]."""
 
 
-def pack_fields(fields: Sequence[DistanceField], device: str) -> Any:
-    """`fields` as one kernel argument."""
+def pack_fields(
+    fields: Sequence[DistanceField], meshes: Sequence[TriangleMesh], device: str
+) -> Any:
+    """The distance fields of meshes as one kernel argument."""
     counts = [int(np.prod(f.values.shape[:3])) for f in fields]
     packed = Fields()
     values = np.concatenate([f.values.reshape(-1, 4).astype(np.float16) for f in fields])
@@ -40,6 +44,8 @@ def pack_fields(fields: Sequence[DistanceField], device: str) -> Any:
     boxes = [_surface_box(f) for f in fields]
     packed.low = wp.array([low for low, _ in boxes], dtype=wp.vec3, device=device)
     packed.high = wp.array([high for _, high in boxes], dtype=wp.vec3, device=device)
+    spheres = [bounding_sphere(mesh) for mesh in meshes]
+    packed.sphere = wp.array(spheres, dtype=wp.vec4, device=device)
     return packed
 
 

@@ -5,19 +5,12 @@ A work item is a start of the fit: the few threads of a CPU have one each, for a
 
 import warp as wp
 
-from inhand.kernels.hand_terms import TERMS, FitProblem, FitState, add_terms
-from inhand.kernels.kinematics import (
-    Twist,
-    joint_twist,
-    place_links,
-    position_of,
-    rigid,
-    rotation_of,
-)
+from inhand.kernels.hand_terms import FitProblem, FitState, add_terms
+from inhand.kernels.kinematics import Twist, joint_twist, place_links
+from inhand.kernels.normal_equations import solve_in_place
+from inhand.kernels.transforms import rigid, turn
 
-wp.set_module_options({"enable_backward": False})
-
-Matrix6 = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
+Matrix6d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 
 
 @wp.func
@@ -36,27 +29,17 @@ def assemble(problem: FitProblem, state: FitState, s: int):
         g[s, i] = wp.float64(0.0)
         for j in range(g.shape[1]):
             H[s, i, j] = wp.float64(0.0)
-    wrist = position_of(wrist_pose)
+    wrist = wrist_pose[:3, 3]
     for joint in range(chain.parent.shape[0]):
         twists[s, joint] = Twist()
         if problem.free[chain.source[joint]] != 0:
             twists[s, joint] = joint_twist(chain, joint, state.T_camera_joint[s, joint], wrist)
     links = chain.link_joint.shape[0]
     for link in range(links):
-        A = Matrix6()
-        b = Twist()
-        k = (s * links + link) * TERMS
-        for row in range(6):
-            for column in range(row, 6):
-                A[row, column] = wp.float64(state.terms[k])
-                k += 1
-        for row in range(6):
-            b[row] = wp.float64(state.terms[k])
-            k += 1
+        A = Matrix6d(state.A[s, link])
+        b = Twist(state.b[s, link])
         for row in range(6):
             g[s, row] = g[s, row] + b[row]
-            for column in range(row):
-                A[row, column] = A[column, row]
             for column in range(6):
                 H[s, row, column] = H[s, row, column] + A[row, column]
         joint = chain.link_joint[link]
@@ -77,55 +60,6 @@ def assemble(problem: FitProblem, state: FitState, s: int):
 
 
 @wp.func
-def solve_in_place(H: wp.array3d(dtype=wp.float64), g: wp.array2d(dtype=wp.float64), s: int):
-    """Replace g[s] by the solution of H[s] x = g[s], by Cholesky; H[s] is overwritten."""
-    n = g.shape[1]
-    for i in range(n):
-        for j in range(i + 1):
-            rest = H[s, i, j]
-            for k in range(j):
-                rest -= H[s, i, k] * H[s, j, k]
-            if i == j:
-                H[s, i, i] = wp.sqrt(rest)
-            else:
-                H[s, i, j] = rest / H[s, j, j]
-    for i in range(n):
-        rest = g[s, i]
-        for k in range(i):
-            rest -= H[s, i, k] * g[s, k]
-        g[s, i] = rest / H[s, i, i]
-    for back in range(n):
-        i = n - 1 - back
-        rest = g[s, i]
-        for k in range(i + 1, n):
-            rest -= H[s, k, i] * g[s, k]
-        g[s, i] = rest / H[s, i, i]
-
-
-@wp.func
-def rotation_vector(R: wp.mat33d):
-    """Axis times angle [rad] of a rotation."""
-    q = wp.quat_from_matrix(R)
-    half = wp.vec3d(q[0], q[1], q[2])
-    sine = wp.length(half)
-    scale = wp.float64(2.0)
-    if q[3] < wp.float64(0.0):
-        scale = -scale
-    if sine > wp.float64(1.0e-12):
-        scale *= wp.atan2(sine, wp.abs(q[3])) / sine
-    return scale * half
-
-
-@wp.func
-def turned(R: wp.mat33d, turn: wp.vec3d):
-    """Rotation `R` followed by a rotation vector [rad]."""
-    angle = wp.length(turn)
-    if angle < wp.float64(1.0e-12):
-        return R
-    return wp.quat_to_matrix(wp.quat_from_axis_angle(turn / angle, angle)) * R
-
-
-@wp.func
 def take_step(problem: FitProblem, state: FitState, s: int):
     """Solve the system of start `s` with its priors and move joints and wrist."""
     H, g = state.H, state.g
@@ -135,9 +69,11 @@ def take_step(problem: FitProblem, state: FitState, s: int):
         for b in range(n):
             H[s, a, b] = H[s, a, b] * problem.information
     T = state.T_camera_hand[s]
-    R = rotation_of(T)
-    tilt = rotation_vector(rotation_of(problem.prior.T_camera_hand) * wp.transpose(R))
-    way = position_of(problem.prior.T_camera_hand) - position_of(T)
+    R = T[:3, :3]
+    T_prior = problem.prior.T_camera_hand
+    axis, angle = wp.quat_to_axis_angle(wp.quat_from_matrix(T_prior[:3, :3] * wp.transpose(R)))
+    tilt = angle * axis
+    way = T_prior[:3, 3] - T[:3, 3]
     for a in range(3):
         H[s, a, a] = H[s, a, a] + problem.prior.rotation
         g[s, a] = g[s, a] + problem.prior.rotation * tilt[a]
@@ -145,14 +81,14 @@ def take_step(problem: FitProblem, state: FitState, s: int):
         g[s, 3 + a] = g[s, 3 + a] + problem.prior.translation * way[a]
     for a in range(6, n):
         H[s, a, a] = H[s, a, a] + problem.joint_damping
-    solve_in_place(H, g, s)
+    solve_in_place(H[s], g[s], n)
     most = wp.float64(0.3)
     for a in range(6, n):
         moved = state.q[s, a - 6] + wp.clamp(g[s, a], -most, most)
         state.q[s, a - 6] = wp.clamp(moved, problem.lower[a - 6], problem.upper[a - 6])
+    rotation = wp.vec3d(g[s, 0], g[s, 1], g[s, 2])
     step = wp.vec3d(g[s, 3], g[s, 4], g[s, 5])
-    turn = wp.vec3d(g[s, 0], g[s, 1], g[s, 2])
-    state.T_camera_hand[s] = rigid(turned(R, turn), position_of(T) + step)
+    state.T_camera_hand[s] = rigid(turn(rotation) * R, T[:3, 3] + step)
     state.iteration[s] = state.iteration[s] + 1
 
 

@@ -4,8 +4,7 @@ import warp as wp
 
 from inhand.kernels.depth import Pinhole
 from inhand.kernels.fields import Fields, field_at
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import to_local
 
 AHEAD = wp.constant(1.0e-3)
 """A ray has met a surface that is so near ahead [m]."""
@@ -68,17 +67,16 @@ def trace_bodies(
         if u < window[0] or v < window[1] or u >= window[2] or v >= window[3]:
             continue
         T = T_camera_body[body]
-        inverse = wp.transpose(T)
         # The ray has unit z, so that its parameter is the depth.
-        direction = wp.transform_vector(inverse, ray)
-        origin = -wp.transform_vector(inverse, wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
+        direction = wp.transform_vector(wp.transpose(T), ray)
+        origin = to_local(T, wp.vec3())
         enter, leave = in_box(fields.low[body], fields.high[body], origin, direction)
         z = wp.max(enter, 0.0)
         end = wp.min(leave, nearest)
         step = int(0)
         while z < end and step < MOST_STEPS:
             value = field_at(fields, body, origin + z * direction)
-            approach = -wp.dot(wp.vec3(value[1], value[2], value[3]), direction)
+            approach = -wp.dot(value[1:4], direction)
             if value[0] * length < AHEAD * approach:
                 nearest = wp.min(nearest, z + value[0] / wp.max(approach, 0.1))
                 winner = body

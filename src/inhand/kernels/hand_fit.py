@@ -6,8 +6,6 @@ from inhand.kernels.bodies import nearest_body
 from inhand.kernels.depth import Pinhole
 from inhand.kernels.fields import Fields
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class DepthView:
@@ -144,7 +142,6 @@ def link_support(
     start: wp.array(dtype=int),
     most: int,
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     apart: wp.array(dtype=int),
     hand_depth: wp.array(dtype=float),
     hand_link: wp.array(dtype=int),
@@ -158,7 +155,7 @@ def link_support(
         points, normals: surface samples of all links, link frames.
         start: first sample of every link, and the end of the last.
         most: about how many samples of a link are used.
-        fields, spheres: distance fields of the links and spheres that hold them, link frames [m].
+        fields: distance fields of the links.
         apart: flat (L, L), whether two links belong to different parts of the hand; what another
             part hides, or explains as well, is summed apart.
         hand_depth, hand_link: rendered depth [m] of the hand and the link that it shows, -1 for
@@ -170,7 +167,7 @@ def link_support(
     sum = SupportSums()
     sum[0] = 1.0e-6
     stride = wp.max(1, (start[k + 1] - start[k]) // most)
-    parts = k * spheres.shape[0]
+    parts = k * fields.start.shape[0]
     for i in range(start[k], start[k + 1], stride):
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
@@ -182,7 +179,7 @@ def link_support(
         if pixel < 0:
             continue
         _distance, _gradient, other = nearest_body(
-            fields, spheres, T_camera_link, 0, apart, parts, p, rule.tolerance
+            fields, T_camera_link, 0, apart, parts, p, rule.tolerance
         )
         coarse = coarse_pixel(view.camera.width, hand_step, pixel)
         shown = hand_link[coarse]
@@ -206,11 +203,26 @@ def redescending(r: float, width: float):
     return (1.0 - x * x) * (1.0 - x * x)
 
 
+@wp.func
+def sample_residual(view: DepthView, p: wp.vec3, n: wp.vec3, width: float):
+    """Distance [m] of a posed surface sample to the plane of the reading on its ray, its weight,
+    which is 0 where the image does not show the sample, and the pixel."""
+    facing = -wp.dot(n, p) / wp.length(p)
+    pixel = pixel_of(view.camera, p)
+    if facing < 0.15 or pixel < 0:
+        return 0.0, 0.0, pixel
+    d = view.depth[pixel]
+    if d <= 0.0 or wp.abs(d - p[2]) > width:
+        return 0.0, 0.0, pixel
+    r = (d / p[2] - 1.0) * wp.dot(n, p)
+    w = facing * redescending(r, width) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
+    return r, w, pixel
+
+
 @wp.kernel
 def hand_distances(
     points: wp.array(dtype=wp.vec3),
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     T_camera_link: wp.array(dtype=wp.mat44),
     used: wp.array(dtype=int),
     farthest: float,
@@ -219,9 +231,7 @@ def hand_distances(
 ):
     """One work item a point: signed distance [m] to the posed hand, cut off at `farthest`."""
     i = first + wp.tid()
-    nearest, _gradient, _link = nearest_body(
-        fields, spheres, T_camera_link, 0, used, 0, points[i], farthest
-    )
+    nearest, _gradient, _link = nearest_body(fields, T_camera_link, 0, used, 0, points[i], farthest)
     distance[i] = nearest
 
 
@@ -230,7 +240,6 @@ def explained_weights(
     points: wp.array(dtype=wp.vec3),
     weights: wp.array(dtype=float),
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     T_camera_link: wp.array(dtype=wp.mat44),
     used: wp.array(dtype=int),
     near: float,
@@ -248,7 +257,7 @@ def explained_weights(
     total = float(0.0)
     for i in range(points.shape[0]):
         distance, _gradient, _link = nearest_body(
-            fields, spheres, T_camera_link, c * spheres.shape[0], used, 0, points[i], near
+            fields, T_camera_link, c * fields.start.shape[0], used, 0, points[i], near
         )
         total += weights[i] * wp.max(0.0, 1.0 - wp.abs(distance) / near)
     explained[c] = total

@@ -4,13 +4,9 @@ import warp as wp
 
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields
-from inhand.kernels.hand_fit import DepthView, pixel_of, redescending
-from inhand.kernels.kinematics import Chain, Twist, position_of
-
-wp.set_module_options({"enable_backward": False})
-
-# Per link: 21 numbers of the symmetric 6x6 matrix, 6 of the right-hand side, the weight.
-TERMS = 28
+from inhand.kernels.hand_fit import DepthView, redescending, sample_residual
+from inhand.kernels.kinematics import Chain, Twist
+from inhand.kernels.normal_equations import Matrix6, Vector6, row_of
 
 
 @wp.struct
@@ -33,8 +29,6 @@ class FitProblem:
     """Scene points [m], camera frame."""
     normals: wp.array(dtype=wp.vec3)
     fields: Fields
-    spheres: wp.array(dtype=wp.vec4)
-    """Bounding sphere of every link's field, link frame (centre, radius) [m]."""
     hand_points: wp.array(dtype=wp.vec3)
     """Surface samples of the links [m], link frames."""
     hand_normals: wp.array(dtype=wp.vec3)
@@ -71,8 +65,11 @@ class FitState:
     T_camera_joint: wp.array2d(dtype=wp.mat44d)
     T_camera_link: wp.array(dtype=wp.mat44)
     """Flat (s * L)."""
-    terms: wp.array(dtype=float)
-    """Sums over the points, flat (s, link, TERMS), about the wrist's origin."""
+    A: wp.array2d(dtype=Matrix6)
+    """Sums over the points of every link, (s, L): matrix over rotation and translation about the
+    wrist's origin,"""
+    b: wp.array2d(dtype=Vector6)
+    """and right-hand side."""
     twists: wp.array2d(dtype=Twist)
     """Twist of what each joint carries per unit of its source, (s, j)."""
     H: wp.array3d(dtype=wp.float64)
@@ -82,40 +79,22 @@ class FitState:
 
 
 @wp.func
-def add_term(
-    out: wp.array(dtype=float), at: int, moment: wp.vec3, direction: wp.vec3, r: float, w: float
-):
-    """Add w j j^T and w j r to the terms at `at`, for j = (moment, direction)."""
-    j = wp.vector(
-        moment[0],
-        moment[1],
-        moment[2],
-        direction[0],
-        direction[1],
-        direction[2],
-    )
-    k = at
-    for a in range(6):
-        wa = w * j[a]
-        for b in range(a, 6):
-            out[k] = out[k] + wa * j[b]
-            k += 1
-    for a in range(6):
-        out[k] = out[k] + w * j[a] * r
-        k += 1
-    out[k] = out[k] + w
+def add_term(state: FitState, start: int, link: int, row: Vector6, r: float, w: float):
+    """Add a residual [m] of a link, with its row of the Jacobian and its weight."""
+    state.A[start, link] = state.A[start, link] + wp.outer(w * row, row)
+    state.b[start, link] = state.b[start, link] + w * r * row
 
 
 @wp.func
 def add_scene_terms(problem: FitProblem, state: FitState, start: int):
     """Add the distances of the scene points to the nearest link's surface."""
     links = problem.used.shape[0]
-    c = wp.vec3(position_of(state.T_camera_hand[start]))
+    c = wp.vec3(state.T_camera_hand[start][:3, 3])
     width = problem.widths[state.iteration[start]]
     for i in range(0, problem.points.shape[0], problem.stride):
         p = problem.points[i]
         distance, gradient, k = nearest_body(
-            problem.fields, problem.spheres, state.T_camera_link, start * links,
+            problem.fields, state.T_camera_link, start * links,
             problem.used, 0, p, width,
         )  # fmt: skip
         if k < 0:
@@ -124,15 +103,14 @@ def add_scene_terms(problem: FitProblem, state: FitState, start: int):
         w = redescending(distance, width) * facing
         if w <= 0.0:
             continue
-        at = (start * links + k) * TERMS
-        add_term(state.terms, at, wp.cross(p - c, gradient), gradient, distance, w)
+        add_term(state, start, k, row_of(p - c, gradient), distance, w)
 
 
 @wp.func
 def add_hand_terms(problem: FitProblem, state: FitState, start: int):
     """Add the plane distances of the surface samples to the readings on their rays."""
     links = problem.used.shape[0]
-    c = wp.vec3(position_of(state.T_camera_hand[start]))
+    c = wp.vec3(state.T_camera_hand[start][:3, 3])
     width = problem.widths[state.iteration[start]]
     for i in range(0, problem.hand_points.shape[0], problem.stride):
         k = problem.hand_link[i]
@@ -141,31 +119,16 @@ def add_hand_terms(problem: FitProblem, state: FitState, start: int):
         T = state.T_camera_link[start * links + k]
         p = wp.transform_point(T, problem.hand_points[i])
         n = wp.transform_vector(T, problem.hand_normals[i])
-        facing = -wp.dot(n, p) / wp.length(p)
-        if facing < 0.15:
-            continue
-        pixel = pixel_of(problem.view.camera, p)
-        if pixel < 0:
-            continue
-        d = problem.view.depth[pixel]
-        if d <= 0.0:
-            continue
-        r = (d / p[2] - 1.0) * wp.dot(n, p)
-        if wp.abs(d - p[2]) > width:
-            continue
-        agreement = wp.max(0.0, wp.dot(n, problem.view.normals[pixel]))
-        w = facing * redescending(r, width) * agreement
-        if w <= 0.0:
-            continue
-        at = (start * links + k) * TERMS
-        add_term(state.terms, at, wp.cross(p - c, n), n, r, w)
+        r, w, _pixel = sample_residual(problem.view, p, n, width)
+        if w > 0.0:
+            add_term(state, start, k, row_of(p - c, n), r, w)
 
 
 @wp.func
 def add_terms(problem: FitProblem, state: FitState, start: int):
     """Sum over the points of the scene and of the hand."""
-    size = problem.used.shape[0] * TERMS
-    for k in range(start * size, (start + 1) * size):
-        state.terms[k] = 0.0
+    for k in range(problem.used.shape[0]):
+        state.A[start, k] = Matrix6()
+        state.b[start, k] = Vector6()
     add_scene_terms(problem, state, start)
     add_hand_terms(problem, state, start)

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import rigid, turn
 
 Twist = wp.types.vector(length=6, dtype=wp.float64)
 """Rotation [rad], then motion of the body's point at the wrist [m]."""
@@ -25,39 +25,12 @@ class Chain:
 
 
 @wp.func
-def rotation_of(T: wp.mat44d):
-    """The rotation of a rigid transform."""
-    return wp.mat33d(
-        T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2]
-    )
-
-
-@wp.func
-def position_of(T: wp.mat44d):
-    """The translation of a rigid transform [m]."""
-    return wp.vec3d(T[0, 3], T[1, 3], T[2, 3])
-
-
-@wp.func
-def rigid(R: wp.mat33d, t: wp.vec3d):
-    """The transform with this rotation and translation [m]."""
-    zero, one = wp.float64(0.0), wp.float64(1.0)
-    return wp.mat44d(
-        R[0, 0], R[0, 1], R[0, 2], t[0],
-        R[1, 0], R[1, 1], R[1, 2], t[1],
-        R[2, 0], R[2, 1], R[2, 2], t[2],
-        zero, zero, zero, one,
-    )  # fmt: skip
-
-
-@wp.func
 def joint_motion(chain: Chain, joint: int, position: wp.float64):
     """The transform by which a joint moves what it carries."""
     axis = chain.axis[joint]
     if chain.kind[joint] == 1:
         return rigid(wp.identity(n=3, dtype=wp.float64), position * axis)
-    turn = wp.quat_to_matrix(wp.quat_from_axis_angle(axis, position))
-    return rigid(turn, wp.vec3d())
+    return rigid(turn(position * axis), wp.vec3d())
 
 
 @wp.func
@@ -111,9 +84,9 @@ def pose_links(
 @wp.func
 def joint_twist(chain: Chain, joint: int, T_camera_joint: wp.mat44d, wrist: wp.vec3d):
     """Twist, per unit of the independent joint, of what the joint carries; camera frame."""
-    axis = rotation_of(T_camera_joint) * chain.axis[joint] * chain.multiplier[joint]
+    axis = T_camera_joint[:3, :3] * chain.axis[joint] * chain.multiplier[joint]
     if chain.kind[joint] == 1:
         zero = wp.float64(0.0)
         return Twist(zero, zero, zero, axis[0], axis[1], axis[2])
-    motion = wp.cross(position_of(T_camera_joint) - wrist, axis)
+    motion = wp.cross(T_camera_joint[:3, 3] - wrist, axis)
     return Twist(axis[0], axis[1], axis[2], motion[0], motion[1], motion[2])

@@ -19,14 +19,6 @@ from inhand.errors import InputError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-wp.config.log_level = wp.LOG_ERROR
-wp.config.enable_backward = False
-# Rounding may differ between machines, but infinities and NaN keep their meaning.
-wp.config.cpu_compiler_flags = (
-    f"{wp.config.cpu_compiler_flags or '-march=native'} "
-    "-mreassociate -freciprocal-math -fno-signed-zeros -ffp-contract=fast"
-)
-
 # Handing a slice to a pool thread costs about 0.15 ms, so only long launches are sliced.
 SLICED_FROM_OPERATIONS = 60_000
 

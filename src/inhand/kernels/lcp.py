@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields, field_at
 from inhand.kernels.launch import launch
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import to_local
 
 
 @wp.kernel
@@ -27,14 +26,11 @@ def count_points_on_model(
     """One work item a pose: share of the points that lie on the model with agreeing normals."""
     i = first + wp.tid()
     T = T_camera_model[i]
-    inverse = wp.transpose(T)
-    origin = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     count = int(0)
     for k in range(points.shape[0]):
-        value = field_at(fields, 0, wp.transform_vector(inverse, points[k] - origin))
+        value = field_at(fields, 0, to_local(T, points[k]))
         if wp.abs(value[0]) < distance:
-            normal = wp.transform_vector(inverse, normals[k])
-            if wp.dot(normal, wp.vec3(value[1], value[2], value[3])) > cosine:
+            if wp.dot(normals[k], wp.transform_vector(T, value[1:4])) > cosine:
                 count += 1
     share[i] = float(count) / float(points.shape[0])
 
@@ -61,7 +57,7 @@ def pose_lcp(
     """
     share = wp.empty(len(T_camera_model), dtype=float, device=device)
     inputs = [
-        wp.array(np.asarray(T_camera_model, dtype=np.float32), dtype=wp.mat44, device=device),
+        wp.array(T_camera_model, dtype=wp.mat44, device=device),
         wp.array(points, dtype=wp.vec3, device=device),
         wp.array(normals, dtype=wp.vec3, device=device),
         fields,
@@ -114,7 +110,6 @@ def match_finger_points(
     link: wp.array(dtype=int),
     samples: wp.array(dtype=int),
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     obstacle: wp.array(dtype=int),
     match: wp.array(dtype=int),
     clearance: wp.array(dtype=float),
@@ -131,13 +126,13 @@ def match_finger_points(
         clearance: out, flat (c, s), signed distance to the nearest obstacle [m], at most 0.
     """
     item = first + wp.tid()
-    n_links = spheres.shape[0]
+    n_links = fields.start.shape[0]
     first_pose = (item // samples.shape[0]) * n_links
     i = samples[item % samples.shape[0]]
     T = T_camera_link[first_pose + link[i]]
     p = wp.transform_point(T, points[i])
     match[item] = lies_on_scene(scene, p, wp.transform_vector(T, normals[i]))
     depth, _gradient, _link = nearest_body(
-        fields, spheres, T_camera_link, first_pose, obstacle, link[i] * n_links, p, 0.0
+        fields, T_camera_link, first_pose, obstacle, link[i] * n_links, p, 0.0
     )
     clearance[item] = depth

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from inhand.kernels.launch import launch
 
-wp.set_module_options({"enable_backward": False})
-
 DEVICE = "cpu"
 DIRECTIONS = 32
 """Rays over the half space in front of a surface point."""
@@ -123,11 +121,13 @@ def farthest_points(
         chosen[k] = last
 
 
-def device_mesh(vertices: NDArray[Any], faces: NDArray[Any], *, winding: bool = False) -> Any:
+def device_mesh(
+    vertices: NDArray[Any], faces: NDArray[Any], device: str = DEVICE, *, winding: bool = False
+) -> Any:
     """A Warp mesh; `winding`: prepare it for winding-number queries."""
     return wp.Mesh(
-        points=wp.array(vertices, dtype=wp.vec3, device=DEVICE),
-        indices=wp.array(np.asarray(faces, dtype=np.int32).reshape(-1), dtype=int, device=DEVICE),
+        points=wp.array(vertices, dtype=wp.vec3, device=device),
+        indices=wp.array(faces.reshape(-1), dtype=int, device=device),
         support_winding_number=winding,
     )
 

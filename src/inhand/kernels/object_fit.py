@@ -10,15 +10,13 @@ from inhand.kernels.hand_fit import (
     judge_point,
     pixel_of,
     redescending,
+    sample_residual,
 )
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.normal_equations import Matrix6, Vector6, row_of, solve_in_place
+from inhand.kernels.transforms import rigid, to_local, turn
 
 # A convex surface shows a quarter of its area on average (Cauchy), weighted by the facing angle.
 VISIBLE_SHARE = wp.constant(0.25)
-
-Matrix6 = wp.types.matrix(shape=(6, 6), dtype=float)
-Vector6 = wp.types.vector(length=6, dtype=float)
 
 
 @wp.struct
@@ -90,17 +88,15 @@ def explained_share(
     """
     explained = float(0.0)
     missed = float(0.0)
-    inverse = wp.transpose(T)
-    t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     for i in range(0, e.points.shape[0], stride):
         if missed > (1.0 - least) * total:
             return 1.0 - missed / total
         w = e.weights[i]
-        value = field_at(fields, 0, wp.transform_vector(inverse, e.points[i] - t))
+        value = field_at(fields, 0, to_local(T, e.points[i]))
         x = wp.abs(value[0]) / near
         agreement = float(0.0)
         if x < 1.0:
-            gradient = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+            gradient = wp.transform_vector(T, value[1:4])
             agreement = (1.0 - x * x) * wp.max(0.0, wp.dot(gradient, e.normals[i]))
         explained += w * agreement
         missed += w * (1.0 - agreement)
@@ -142,74 +138,20 @@ def score_poses(
 
 
 @wp.func
-def solve6(A: Matrix6, b: Vector6):
-    """Solution of A x = b for a symmetric positive definite A, by Cholesky."""
-    L = Matrix6()
-    y = Vector6()
-    for i in range(6):
-        for j in range(i + 1):
-            s = A[i, j]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            if i == j:
-                L[i, i] = wp.sqrt(wp.max(s, 1.0e-12))
-            else:
-                L[i, j] = s / L[j, j]
-    for i in range(6):
-        s = b[i]
-        for k in range(i):
-            s -= L[i, k] * y[k]
-        y[i] = s / L[i, i]
-    x = Vector6()
-    for r in range(6):
-        i = 5 - r
-        s = y[i]
-        for k in range(i + 1, 6):
-            s -= L[k, i] * x[k]
-        x[i] = s / L[i, i]
-    return x
-
-
-@wp.func
 def moved(T: wp.mat44, x: Vector6, pivot: wp.vec3):
     """`T` after the rotation vector x[0:3] about `pivot` and the translation x[3:6]."""
-    w = wp.vec3(x[0], x[1], x[2])
-    angle = wp.length(w)
-    R = wp.identity(n=3, dtype=float)
-    if angle > 1.0e-9:
-        R = wp.quat_to_matrix(wp.quat_from_axis_angle(w / angle, angle))
-    old = wp.mat33(T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2])
-    t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
-    R_new = R @ old
-    t_new = R @ (t - pivot) + pivot + wp.vec3(x[3], x[4], x[5])
-    return wp.mat44(
-        R_new[0, 0], R_new[0, 1], R_new[0, 2], t_new[0],
-        R_new[1, 0], R_new[1, 1], R_new[1, 2], t_new[1],
-        R_new[2, 0], R_new[2, 1], R_new[2, 2], t_new[2],
-        0.0, 0.0, 0.0, 1.0,
-    )  # fmt: skip
+    R = turn(x[:3])
+    return rigid(R @ T[:3, :3], R @ (T[:3, 3] - pivot) + pivot + x[3:6])
 
 
 @wp.func
-def sample_residual(e: ObjectEvidence, p: wp.vec3, n: wp.vec3, width: float):
-    """Distance [m] of a posed model sample to the plane of the reading on its ray, and its weight.
-
-    The weight is 0 where the image does not show the sample, or shows the hand there.
-    """
-    facing = -wp.dot(n, p) / wp.length(p)
-    if facing < 0.15:
-        return 0.0, 0.0
-    pixel = pixel_of(e.view.camera, p)
-    if pixel < 0:
-        return 0.0, 0.0
-    d = e.view.depth[pixel]
-    if d <= 0.0 or wp.abs(d - p[2]) > width:
-        return 0.0, 0.0
-    hand = hand_depth_at(e, pixel)
-    if hand > 0.0 and wp.abs(hand - d) < 0.5 * e.near:
-        return 0.0, 0.0
-    r = (d / p[2] - 1.0) * wp.dot(n, p)
-    w = facing * redescending(r, width) * wp.max(0.0, wp.dot(n, e.view.normals[pixel]))
+def visible_residual(e: ObjectEvidence, p: wp.vec3, n: wp.vec3, width: float):
+    """`sample_residual` of the object; the weight is 0 where the image shows the hand as well."""
+    r, w, pixel = sample_residual(e.view, p, n, width)
+    if w > 0.0:
+        hand = hand_depth_at(e, pixel)
+        if hand > 0.0 and wp.abs(hand - e.view.depth[pixel]) < 0.5 * e.near:
+            w = 0.0
     return r, w
 
 
@@ -250,45 +192,34 @@ def refine_poses(
         A = Matrix6()
         b = Vector6()
         pivot = wp.transform_point(T, centre)
-        inverse = wp.transpose(T)
-        t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
         for s in range(0, e.points.shape[0], segment_stride):
             p = e.points[s]
-            value = field_at(fields, 0, wp.transform_vector(inverse, p - t))
+            value = field_at(fields, 0, to_local(T, p))
             w = e.weights[s] * redescending(value[0], width)
             if w <= 0.0:
                 continue
-            g = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+            g = wp.transform_vector(T, value[1:4])
             w = w * wp.max(0.0, wp.dot(g, e.normals[s]))
             if w <= 0.0:
                 continue
-            m = wp.cross(p - pivot, g)
-            j = Vector6(m[0], m[1], m[2], g[0], g[1], g[2])
-            for r in range(6):
-                wr = w * j[r]
-                b[r] += wr * value[0]
-                for c in range(r + 1):
-                    A[r, c] += wr * j[c]
+            row = row_of(p - pivot, g)
+            A += wp.outer(w * row, row)
+            b += w * value[0] * row
         if image_weight > 0.0:
             for s in range(n_points):
                 p = wp.transform_point(T, points[s])
                 n = wp.transform_vector(T, normals[s])
-                r0, w = sample_residual(e, p, n, width)
+                r, w = visible_residual(e, p, n, width)
                 if w <= 0.0:
                     continue
-                w = image_weight * w
-                m = wp.cross(p - pivot, n)
-                j = Vector6(m[0], m[1], m[2], n[0], n[1], n[2])
-                for r in range(6):
-                    wr = w * j[r]
-                    b[r] += wr * r0
-                    for c in range(r + 1):
-                        A[r, c] += wr * j[c]
+                row = row_of(p - pivot, n)
+                A += wp.outer(image_weight * w * row, row)
+                b += image_weight * w * r * row
         trace = A[3, 3] + A[4, 4] + A[5, 5]
         damping = 0.003 * trace + 1.0e-6
-        for r in range(3):
-            A[r, r] += damping * scale * scale
-            A[r + 3, r + 3] += damping
-        T = moved(T, solve6(A, b), pivot)
+        for k in range(3):
+            A[k, k] += damping * scale * scale
+            A[k + 3, k + 3] += damping
+        T = moved(T, solve_in_place(A, b, 6), pivot)
         width = width * shrink
     T_refined[i] = T

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import rigid
 
 # Cosine of the angle that jitter and noise explain between a scene normal and the model's, 35 deg.
 MIN_NORMAL_AGREEMENT = wp.constant(0.82)
@@ -42,9 +42,7 @@ def pair_frame(p1: wp.vec3, n1: wp.vec3, p2: wp.vec3, n2: wp.vec3, turn: bool):
         b = -b
     up = wp.normalize(a + b)
     across = wp.cross(along, up)
-    return wp.mat33(
-        along[0], up[0], across[0], along[1], up[1], across[1], along[2], up[2], across[2]
-    )
+    return wp.matrix_from_cols(along, up, across)
 
 
 @wp.func
@@ -79,6 +77,7 @@ def match_pairs(
     length = wp.length(d)
     direction = d / wp.max(length, 1.0e-9)
     angle_step = 3.14159265 / float(table.n_angle)
+    top = table.n_angle - 1
     f0 = length / table.distance_step
     f1 = angle_between(n1, direction) / angle_step
     f2 = angle_between(n2, direction) / angle_step
@@ -91,14 +90,10 @@ def match_pairs(
         T_camera_object[k * matches + m] = wp.mat44()
         state = wp.rand_init(seed, k * matches + m)
         c0 = int(wp.floor(f0 + wp.randf(state) - 0.5))
-        c1 = int(wp.floor(f1 + wp.randf(state) - 0.5))
-        c2 = int(wp.floor(f2 + wp.randf(state) - 0.5))
-        c3 = int(wp.floor(f3 + wp.randf(state) - 0.5))
         # Angles are mirrored at 0 and pi.
-        top = table.n_angle - 1
-        c1 = wp.clamp(c1, 0, top)
-        c2 = wp.clamp(c2, 0, top)
-        c3 = wp.clamp(c3, 0, top)
+        c1 = wp.clamp(int(wp.floor(f1 + wp.randf(state) - 0.5)), 0, top)
+        c2 = wp.clamp(int(wp.floor(f2 + wp.randf(state) - 0.5)), 0, top)
+        c3 = wp.clamp(int(wp.floor(f3 + wp.randf(state) - 0.5)), 0, top)
         if c0 < 1 or c0 >= table.n_distance:
             continue
         cell = ((c0 * table.n_angle + c1) * table.n_angle + c2) * table.n_angle + c3
@@ -121,9 +116,4 @@ def match_pairs(
         if wp.dot(R @ table.normals[j], n2) < MIN_NORMAL_AGREEMENT:
             continue
         t = middle - R @ (0.5 * (table.points[i] + table.points[j]))
-        T_camera_object[k * matches + m] = wp.mat44(
-            R[0, 0], R[0, 1], R[0, 2], t[0],
-            R[1, 0], R[1, 1], R[1, 2], t[1],
-            R[2, 0], R[2, 1], R[2, 2], t[2],
-            0.0, 0.0, 0.0, 1.0,
-        )  # fmt: skip
+        T_camera_object[k * matches + m] = rigid(R, t)

@@ -2,11 +2,9 @@
 
 import warp as wp
 
-from inhand.kernels.alignment import pose_of
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import rigid
 
 # Relative damping: directions that the points leave open do not move.
 DAMPING = 1.0e-3
@@ -18,8 +16,6 @@ class RigidModel:
 
     fields: Fields
     """Distance fields of the parts."""
-    spheres: wp.array(dtype=wp.vec4)
-    """Bounding spheres of the parts, part frame (centre, radius) [m]."""
     T_model_part: wp.array(dtype=wp.mat44)
     used: wp.array(dtype=int)
     """Per part, 0 leaves it out."""
@@ -51,13 +47,8 @@ def align_to_points(
     """
     i = first + wp.tid()
     T = T_camera_model[i]
-    R = wp.matrix_from_rows(
-        wp.vec3(T[0, 0], T[0, 1], T[0, 2]),
-        wp.vec3(T[1, 0], T[1, 1], T[1, 2]),
-        wp.vec3(T[2, 0], T[2, 1], T[2, 2]),
-    )
-    rotation = wp.normalize(wp.quat_from_matrix(R))
-    origin = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+    rotation = wp.normalize(wp.quat_from_matrix(T[:3, :3]))
+    origin = T[:3, 3]
     for _iteration in range(iterations):
         # Blocks of the normal equations, for rotation a times radius and translation b.
         aa = wp.mat33()
@@ -69,14 +60,7 @@ def align_to_points(
         for k in range(points.shape[0]):
             x = wp.quat_rotate_inv(rotation, points[k] - origin)
             d, g, _link = nearest_body(
-                model.fields,
-                model.spheres,
-                model.T_model_part,
-                0,
-                model.used,
-                0,
-                x,
-                max_distance,
+                model.fields, model.T_model_part, 0, model.used, 0, x, max_distance
             )
             if wp.abs(d) >= max_distance:
                 continue
@@ -99,12 +83,10 @@ def align_to_points(
         shift = bb_inverse * (rb - wp.transpose(ab) * turn)
         # The points move by (turn, shift) in the model's frame; the model moves the other way.
         angle = wp.length(turn) / model.radius
-        step = wp.quat_identity(dtype=float)
-        if angle > 1.0e-9:
-            step = wp.quat_from_axis_angle(wp.normalize(turn), angle)
+        step = wp.quat_from_axis_angle(wp.normalize(turn), angle)
         pivot = origin + wp.quat_rotate(rotation, model.centre)
         rotation = wp.normalize(rotation * wp.quat_inverse(step))
         origin = pivot - wp.quat_rotate(rotation, model.centre + shift)
         if wp.length(shift) + wp.length(turn) < 1.0e-6:
             break
-    T_camera_model[i] = pose_of(wp.quat_to_matrix(rotation), origin)
+    T_camera_model[i] = rigid(wp.quat_to_matrix(rotation), origin)

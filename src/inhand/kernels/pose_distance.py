@@ -3,8 +3,7 @@
 import warp as wp
 
 from inhand.kernels.fields import Fields, field_at
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.transforms import to_local
 
 
 @wp.func
@@ -26,13 +25,10 @@ def distance_between(
     apart = wp.transform_point(T_a, centre) - wp.transform_point(T_b, centre)
     if wp.length(apart) > farthest:
         return farthest
-    inverse = wp.transpose(T_b)
-    t = wp.vec3(T_b[0, 3], T_b[1, 3], T_b[2, 3])
     total = float(0.0)
     for s in range(n_points):
         p = wp.transform_point(T_a, points[s])
-        value = field_at(fields, 0, wp.transform_vector(inverse, p - t))
-        total += wp.abs(value[0])
+        total += wp.abs(field_at(fields, 0, to_local(T_b, p))[0])
         if total > limit * float(n_points):
             break
     return total / float(n_points)

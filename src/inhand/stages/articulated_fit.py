@@ -16,14 +16,15 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from inhand.config import HandStateConfig
+from inhand.geometry.se3 import Array
 from inhand.kernels import gauss_newton as kernels
 from inhand.kernels import hand_terms
 from inhand.kernels.kinematics import Twist
 from inhand.kernels.launch import launch, prepare
+from inhand.kernels.normal_equations import Matrix6, Vector6
 from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class ArticulatedFit:
         p = hand_terms.FitProblem()
         p.view = observation.view
         p.points, p.normals = observation.points_on_device, observation.normals_on_device
-        p.fields, p.spheres, p.chain = hand.fields, hand.spheres, hand.chain
+        p.fields, p.chain = hand.fields, hand.chain
         p.hand_points, p.hand_normals, p.hand_link = hand.points, hand.normals, hand.link
         p.lower, p.upper = hand.lower, hand.upper
         p.used = wp.array(used.astype(np.int32), dtype=int, device=device)
@@ -122,11 +123,27 @@ class ArticulatedFit:
         state.iteration = wp.zeros(starts, dtype=int, device=device)
         state.T_camera_joint = empty((starts, joints), dtype=wp.mat44d)
         state.T_camera_link = empty(starts * links, dtype=wp.mat44)
-        state.terms = empty(starts * links * hand_terms.TERMS, dtype=float)
+        state.A = empty((starts, links), dtype=Matrix6)
+        state.b = empty((starts, links), dtype=Vector6)
         state.twists = empty((starts, joints), dtype=Twist)
         state.H = empty((starts, parameters, parameters), dtype=wp.float64)
         state.g = empty((starts, parameters), dtype=wp.float64)
         return problem, state
+
+
+def whole_hand_fit(
+    observation: Observation, hand: PackedHand, prior: WristPrior, config: HandStateConfig
+) -> ArticulatedFit:
+    """The fit of wrist and all joints to what the image shows of all links."""
+    return ArticulatedFit(
+        observation,
+        hand,
+        used=np.ones(len(hand.hand.links), dtype=bool),
+        free=np.ones(len(hand.hand.joint_names), dtype=bool),
+        prior=prior,
+        point_information=config.point_information,
+        joint_damping=config.joint_damping,
+    )
 
 
 @dataclass(frozen=True)

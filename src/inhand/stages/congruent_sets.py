@@ -18,9 +18,8 @@ from inhand.kernels.congruent_sets import (
     sample_bases,
 )
 from inhand.kernels.launch import launch
-from inhand.kernels.lcp import pose_lcp
-from inhand.kernels.pair_matching import PairTable
 from inhand.packed import PackedObject
+from inhand.stages.lcp import segment_lcp
 from inhand.stages.results import PoseSet, Segment
 
 # The hash grid's cells along x, where the bases lie side by side, and across.
@@ -65,16 +64,7 @@ def generate_from_congruent_sets(
         )
     poses = search.align(bases, sets)
     stride = -(-len(segment.points) // config.lcp_points)
-    score = pose_lcp(
-        poses,
-        segment.points[::stride],
-        segment.normals[::stride],
-        obj.fields,
-        config.lcp_distance,
-        config.lcp_normal_angle,
-        obj.device,
-    )
-    return PoseSet(poses, score)
+    return PoseSet(poses, segment_lcp(poses, segment, obj, config, stride))
 
 
 class CongruentSetSearch:
@@ -87,13 +77,7 @@ class CongruentSetSearch:
         self.points = wp.array(segment.points, dtype=wp.vec3, device=obj.device)
         self.normals = wp.array(segment.normals, dtype=wp.vec3, device=obj.device)
         self.diameter = obj.model.diameter
-        self.model = PairTable()
-        self.model.points, self.model.normals = obj.points, obj.normals
-        self.model.cell_start = obj.cell_start
-        self.model.pair_first, self.model.pair_second = obj.pair_first, obj.pair_second
-        self.model.distance_step = obj.model.pairs.distance_step
-        self.model.n_distance = obj.model.pairs.n_distance
-        self.model.n_angle = obj.model.pairs.n_angle
+        self.model = obj.pairs
 
     def sample_bases(self, rng: np.random.Generator) -> Bases:
         """Bases by Alg. 2; those that found no fourth point are left out."""

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from inhand.config import EvidenceConfig
 from inhand.kernels.contact import link_clearances
-from inhand.kernels.hand_fit import Visibility
 from inhand.kernels.launch import launch
 from inhand.kernels.object_fit import ObjectEvidence, score_poses
 from inhand.packed import PackedHand, PackedObject, device_poses
+from inhand.stages.hand_visibility import visibility_rule
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment
 
@@ -107,9 +107,8 @@ def agreement(
         near: a segment point this near to the model is explained [m]; by default as configured.
     """
     out: Any = wp.empty(len(T_camera_object), dtype=wp.vec2, device=obj.device)
-    rule, config = Visibility(), evidence.config
-    rule.tolerance, rule.violation = samples.tolerance, config.violation
-    rule.missing, rule.hidden = config.missing, config.hidden
+    config = evidence.config
+    rule = visibility_rule(config, samples.tolerance)
     stride = evidence.stride(samples.segment_points)
     weights = evidence.segment_weights[::stride]
     n = min(samples.model_points, len(obj.points))
@@ -201,7 +200,7 @@ def clearances(
     launch(
         link_clearances,
         count * links,
-        [T_camera_object, obj.points, points, hand.fields, hand.spheres]
+        [T_camera_object, obj.points, points, hand.fields]
         + [device_poses(hand_state.T_camera_link, device), farthest, clearance],
         device,
         work_per_item=4 * points,

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from inhand.config import HandStateConfig
+from inhand.geometry.se3 import Array
 from inhand.kinematics import PRISMATIC
 from inhand.packed import PackedHand, PackedPart
 from inhand.stages.hand_visibility import HandVisibility
 from inhand.stages.observation import Observation
 from inhand.stages.results import Configurations
-
-Array = NDArray[np.float64]
 
 
 class FingerSearch:
@@ -36,6 +35,8 @@ class FingerSearch:
         self.scale[slides] = config.slide_scale
         self.camera = observation.camera.subsampled(config.render_step)
         self.visibility = HandVisibility(observation, hand, config)
+        self._coarse = config.coarse_tolerance, config.coarse_points
+        self._fine = config.fine_tolerance, config.fine_points
         self._palm_depth: Any = None
 
     def alternatives(
@@ -51,7 +52,7 @@ class FingerSearch:
         there = self._palm(q, T_camera_hand)
         found = [self._range(finger) for finger in fingers]
         scores = [
-            self._coarse_score(finger, tried, T_camera_hand, there)
+            self._score(finger, tried, T_camera_hand[None], there, self._coarse)
             for finger, tried in zip(fingers, found, strict=True)
         ]
         order = np.argsort([-score.max() for score in scores])
@@ -61,7 +62,7 @@ class FingerSearch:
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
                 tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
-                score = self._coarse_score(fingers[i], tried, T_camera_hand, there)
+                score = self._score(fingers[i], tried, T_camera_hand[None], there, self._coarse)
             best = np.argsort(-score, kind="stable")[: self.config.allowed]
             allowed[i] = Configurations(tried[best], score[best])
             found[i] = self._look_around(fingers[i], tried, score, T_camera_hand, there, rng)
@@ -75,14 +76,8 @@ class FingerSearch:
             q: refined joint vectors, shape (s, n).
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
-        fingers, rule = self.packed.fingers, (self.config.fine_tolerance, self.config.fine_points)
-
-        def scores(finger: PackedPart, others: Any) -> Array:
-            joints = q[:, finger.joints]
-            return self.visibility.score(finger, joints, T_camera_hand, others, *rule)[0]
-
-        there = self._palm(q[0], T_camera_hand[0])
-        alone = [scores(finger, there) for finger in fingers]
+        fingers, there = self.packed.fingers, self._palm(q[0], T_camera_hand[0])
+        alone = [self._score(f, q[:, f.joints], T_camera_hand, there, self._fine) for f in fingers]
         best = np.sum(alone, axis=0).argmax()
         T, combined = T_camera_hand[best], q[best].copy()
         order = np.argsort([-score.max() for score in alone])
@@ -90,7 +85,7 @@ class FingerSearch:
             joints, score = fingers[i].joints, alone[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(combined, T))
-                score = scores(fingers[i], there)
+                score = self._score(fingers[i], q[:, joints], T_camera_hand, there, self._fine)
             combined[joints] = q[score.argmax(), joints]
         return combined, T
 
@@ -99,11 +94,16 @@ class FingerSearch:
         lower, upper = self.hand.lower[finger.joints], self.hand.upper[finger.joints]
         return lower + _even_points(len(lower), self.config.samples) * (upper - lower)
 
-    def _coarse_score(
-        self, finger: PackedPart, tried: Array, T_camera_hand: Array, others: Any
+    def _score(
+        self,
+        finger: PackedPart,
+        joints: Array,
+        T_camera_hand: Array,
+        others: Any,
+        rule: tuple[float, int],
     ) -> Array:
-        rule = (self.config.coarse_tolerance, self.config.coarse_points)
-        return self.visibility.score(finger, tried, T_camera_hand[None], others, *rule)[0]
+        """Scores (c,) beside what else is there; `rule`: depth agreement [m] and samples a link."""
+        return self.visibility.score(finger, joints, T_camera_hand, others, *rule)[0]
 
     def _look_around(
         self,
@@ -125,8 +125,7 @@ class FingerSearch:
         around = centres[:, None] + spread * scale
         around = np.clip(around, self.hand.lower[joints], self.hand.upper[joints])
         flat = around.reshape(-1, len(joints))
-        near = (config.fine_tolerance, config.fine_points)
-        score = self.visibility.score(finger, flat, T_camera_hand[None], others, *near)[0]
+        score = self._score(finger, flat, T_camera_hand[None], others, self._fine)
         score = score.reshape(len(centres), -1)
         best = around[np.arange(len(centres)), score.argmax(axis=1)]
         return best[np.argsort(-score.max(axis=1))]

@@ -5,7 +5,7 @@ import numpy as np
 from inhand.config import HandStateConfig, WristConfig
 from inhand.errors import NoAnswer
 from inhand.packed import PackedHand
-from inhand.stages.articulated_fit import ArticulatedFit
+from inhand.stages.articulated_fit import whole_hand_fit
 from inhand.stages.finger_search import Array, FingerSearch
 from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
@@ -35,15 +35,7 @@ def estimate_hand_state(
     if config.method == "swarm":
         return search_fingers(observation, wrist, hand, config, rng)
     search = FingerSearch(observation, hand, config)
-    fit = ArticulatedFit(
-        observation,
-        hand,
-        used=np.ones(len(hand.hand.links), dtype=bool),
-        free=np.ones(len(hand.hand.joint_names), dtype=bool),
-        prior=wrist_prior(observation, wrist_config),
-        point_information=config.point_information,
-        joint_damping=config.joint_damping,
-    )
+    fit = whole_hand_fit(observation, hand, wrist_prior(observation, wrist_config), config)
     alternatives, allowed = search.alternatives(wrist.T_camera_hand, rng)
     starts = _starts(alternatives, hand)
     wrists = np.repeat(wrist.T_camera_hand[None], len(starts), 0)

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from inhand.config import HandStateConfig
+from inhand.config import EvidenceConfig, HandStateConfig
 from inhand.kernels import hand_fit
 from inhand.kernels.hand_fit import Visibility, link_support, score_configurations
 from inhand.kernels.launch import launch
@@ -54,7 +54,7 @@ class HandVisibility:
             points: surface samples of every link that are used at most.
         """
         device, config, count = part.device, self._config, len(q)
-        rule = _rule(config, max(tolerance or config.fine_tolerance, self._noise))
+        rule = visibility_rule(config, max(tolerance or config.fine_tolerance, self._noise))
         samples = int(np.minimum(part.counts, points or part.counts).sum())
         score, seen = (wp.empty(count, dtype=float, device=device) for _ in range(2))
         launch(
@@ -96,7 +96,7 @@ def hand_support(
     """
     device, count = hand.device, len(hand.hand.links)
     noise = config.noise_tolerance * observation.noise
-    rule = _rule(config, max(config.fine_tolerance, noise))
+    rule = visibility_rule(config, max(config.fine_tolerance, noise))
     start = wp.array(hand.point_start, dtype=int, device=device)
     coarse = observation.camera.subsampled(config.render_step)
     shown = wp.full(coarse.width * coarse.height, -1, dtype=int, device=device)
@@ -106,7 +106,7 @@ def hand_support(
         link_support,
         count,
         [observation.view, rule, device_poses(T_camera_link, device), hand.points]
-        + [hand.normals, start, config.fine_points, hand.fields, hand.spheres, hand.apart]
+        + [hand.normals, start, config.fine_points, hand.fields, hand.apart]
         + [depth, shown, config.render_step, sums],
         device,
         work_per_item=config.fine_points,
@@ -117,7 +117,7 @@ def hand_support(
     return Support(score / np.maximum(seen, least), float(whole))
 
 
-def _rule(config: HandStateConfig, tolerance: float) -> Any:
+def visibility_rule(config: HandStateConfig | EvidenceConfig, tolerance: float) -> Any:
     """How surface points are judged, for kernels; the tolerance in [m]."""
     rule = Visibility()
     rule.tolerance = tolerance

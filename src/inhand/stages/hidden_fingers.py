@@ -5,13 +5,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import SelectionConfig
+from inhand.geometry.se3 import Array
 from inhand.kernels.contact import configuration_clearances
 from inhand.kernels.launch import launch
 from inhand.packed import PackedObject, PackedPart, device_poses
 from inhand.stages.evidence import Evidence, gap_cost, penetration_cost
 from inhand.stages.results import PoseSet
-
-Array = NDArray[np.float64]
 
 
 def place_hidden_fingers(

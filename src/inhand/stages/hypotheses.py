@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from inhand.config import HypothesesConfig
 from inhand.errors import NoAnswer
 from inhand.kernels.launch import launch
-from inhand.kernels.pair_matching import PairTable, match_pairs
+from inhand.kernels.pair_matching import match_pairs
 from inhand.packed import PackedObject
 from inhand.stages.congruent_sets import generate_from_congruent_sets
 from inhand.stages.evidence import Evidence, score_with_contact
@@ -95,28 +95,10 @@ def _match(
     seed: int,
 ) -> Any:
     """Poses from the pair table on the device; empty draws are zero matrices."""
-    device, pairs = obj.device, obj.model.pairs
-    table = PairTable()
-    table.cell_start, table.pair_first = obj.cell_start, obj.pair_first
-    table.pair_second = obj.pair_second
-    table.points, table.normals = obj.points, obj.normals
-    table.distance_step = pairs.distance_step
-    table.n_distance, table.n_angle = pairs.n_distance, pairs.n_angle
-    poses = wp.empty(len(a) * config.matches, dtype=wp.mat44, device=device)
-    launch(
-        match_pairs,
-        len(a),
-        [
-            wp.array(segment.points, dtype=wp.vec3, device=device),
-            wp.array(segment.normals, dtype=wp.vec3, device=device),
-            wp.array(a, dtype=int, device=device),
-            wp.array(b, dtype=int, device=device),
-            table,
-            config.matches,
-            seed,
-            poses,
-        ],
-        device,
-        work_per_item=10 * config.matches,
-    )
+    device, matches = obj.device, config.matches
+    poses = wp.empty(len(a) * matches, dtype=wp.mat44, device=device)
+    inputs = [wp.array(x, dtype=wp.vec3, device=device) for x in (segment.points, segment.normals)]
+    inputs += [wp.array(pair, dtype=int, device=device) for pair in (a, b)]
+    inputs += [obj.pairs, matches, seed, poses]
+    launch(match_pairs, len(a), inputs, device, work_per_item=10 * matches)
     return poses

@@ -3,13 +3,13 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import HandStateConfig
+from inhand.geometry.se3 import Array
 from inhand.hand import Finger
 from inhand.kernels.launch import launch
 from inhand.kernels.lcp import SceneCloud, match_finger_points
@@ -17,7 +17,6 @@ from inhand.packed import PackedHand, device_poses
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Wrist
 
-Array = NDArray[np.float64]
 GRID_CELLS = 64
 
 
@@ -126,7 +125,6 @@ class FingerCost:
             hand.link,
             samples,
             hand.fields,
-            hand.spheres,
             wp.array(_obstacles(hand, finger, placed).reshape(-1), dtype=int, device=device),
             match,
             clearance,
@@ -147,15 +145,9 @@ def _obstacles(hand: PackedHand, finger: Finger, placed: list[int]) -> NDArray[n
     obstacles = np.zeros((len(hand.hand.links),) * 2, dtype=np.int32)
     obstacles[np.ix_(finger.links, placed)] = 1
     for link in finger.links:
-        before = _ancestors(chain, int(chain.link_joint[link]))[:-1]
-        if not np.isin(chain.link_joint, before).any():
+        if not np.isin(chain.link_joint, chain.path(link)[1:]).any():
             obstacles[link, list(hand.hand.palm_links)] = 0
     return obstacles
-
-
-def _ancestors(chain: Any, joint: int) -> list[int]:
-    """Movable joints from the palm to `joint`, itself included."""
-    return [] if joint < 0 else [*_ancestors(chain, int(chain.parent[joint])), joint]
 
 
 def _nearest_first(hand: PackedHand, q: Array, T_camera_hand: Array) -> list[Finger]:

@@ -7,9 +7,9 @@ import warp as wp
 from inhand.config import RefinementConfig
 from inhand.kernels.depth import bounding_sphere
 from inhand.kernels.launch import launch
-from inhand.kernels.lcp import pose_lcp
 from inhand.kernels.point_to_plane import RigidModel, align_to_points
 from inhand.packed import PackedObject, device_poses
+from inhand.stages.lcp import segment_lcp
 from inhand.stages.results import PoseSet, Segment
 from inhand.stages.se3_clustering import leaders_of
 
@@ -19,15 +19,7 @@ def refine_by_icp(
 ) -> PoseSet:
     """Refined, distinct poses with the highest LCP, best first."""
     refined = align_model(poses, segment, obj, config)
-    score = pose_lcp(
-        refined,
-        segment.points,
-        segment.normals,
-        obj.fields,
-        config.lcp_distance,
-        config.lcp_normal_angle,
-        obj.device,
-    )
+    score = segment_lcp(refined, segment, obj, config)
     order = np.argsort(-score, kind="stable")
     ranked = PoseSet(refined[order], score[order])
     everywhere = np.zeros(1, dtype=np.int32)
@@ -43,12 +35,10 @@ def align_model(
     device = obj.device
     model = RigidModel()
     model.fields = obj.fields
-    sphere = bounding_sphere(obj.model.mesh)
-    model.spheres = wp.array([sphere], dtype=wp.vec4, device=device)
     model.T_model_part = device_poses(np.eye(4), device)
     model.used = wp.ones(1, dtype=int, device=device)
     model.centre = wp.vec3(*obj.model.centre)
-    model.radius = sphere[3]
+    model.radius = bounding_sphere(obj.model.mesh)[3]
     aligned = device_poses(poses.T_camera_object, device)
     inputs = [
         model,

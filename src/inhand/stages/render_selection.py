@@ -10,8 +10,8 @@ from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
 from inhand.kernels.discrepancy import EMPTY, depth_discrepancy
 from inhand.kernels.launch import launch
-from inhand.kernels.lcp import pose_lcp
 from inhand.packed import PackedHand, PackedObject, device_poses
+from inhand.stages.lcp import segment_lcp
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, PoseSet, Segment
 
@@ -29,15 +29,7 @@ def select_by_rendering(
     discrepancy = depth_discrepancies(poses, observation, hand_state, hand, obj, config)
     count = int(np.ceil(config.keep_share * len(poses)))
     kept = poses.take(np.argsort(discrepancy, kind="stable")[:count])
-    lcp = pose_lcp(
-        kept.T_camera_object,
-        segment.points,
-        segment.normals,
-        obj.fields,
-        config.lcp_distance,
-        config.lcp_normal_angle,
-        obj.device,
-    )
+    lcp = segment_lcp(kept.T_camera_object, segment, obj, config)
     order = np.argsort(-lcp, kind="stable")
     return PoseSet(kept.T_camera_object[order], lcp[order])
 

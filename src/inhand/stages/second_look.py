@@ -5,15 +5,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import EstimatorConfig, SecondLookConfig
+from inhand.geometry.se3 import Array
 from inhand.kernels.hand_fit import explained_weights
 from inhand.kernels.launch import launch
 from inhand.packed import PackedHand, device_poses
-from inhand.stages.articulated_fit import ArticulatedFit
+from inhand.stages.articulated_fit import whole_hand_fit
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment
 from inhand.stages.wrist import wrist_prior
-
-Array = NDArray[np.float64]
 
 
 def hands_in_segment(
@@ -28,7 +27,8 @@ def hands_in_segment(
     A finger of which little shows may have been missed, and is then part of the segment. Of the
     configurations that the image allows, the one that explains most of the segment is refined.
     """
-    look, fit = config.second_look, _fit(observation, hand, config)
+    look, prior = config.second_look, wrist_prior(observation, config.wrist)
+    fit = whole_hand_fit(observation, hand, prior, config.hand_state)
     widths = np.geomspace(
         config.hand_state.first_width, config.hand_state.last_width, look.iterations
     )
@@ -55,18 +55,6 @@ def hands_in_segment(
     return found
 
 
-def _fit(observation: Observation, hand: PackedHand, config: EstimatorConfig) -> ArticulatedFit:
-    return ArticulatedFit(
-        observation,
-        hand,
-        used=np.ones(len(hand.hand.links), dtype=bool),
-        free=np.ones(len(hand.hand.joint_names), dtype=bool),
-        prior=wrist_prior(observation, config.wrist),
-        point_information=config.hand_state.point_information,
-        joint_damping=config.hand_state.joint_damping,
-    )
-
-
 def _explained(
     T_camera_link: Array,
     links: NDArray[np.intp] | int,
@@ -85,7 +73,7 @@ def _explained(
         explained_weights,
         len(out),
         [wp.array(segment.points[::stride], dtype=wp.vec3, device=device)]
-        + [wp.array(weights, dtype=float, device=device), hand.fields, hand.spheres]
+        + [wp.array(weights, dtype=float, device=device), hand.fields]
         + [device_poses(T_camera_link, device), wp.array(used, dtype=int, device=device)]
         + [config.near, out],
         device,

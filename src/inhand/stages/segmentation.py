@@ -108,7 +108,7 @@ def distances_to_hand(
     distance = wp.empty(n, dtype=float, device=device)
     poses = device_poses(hand_state.T_camera_link, device)
     used = wp.array(links.astype(np.int32), dtype=int, device=device)
-    inputs = [wp.array(points, dtype=wp.vec3, device=device), hand.fields, hand.spheres]
+    inputs = [wp.array(points, dtype=wp.vec3, device=device), hand.fields]
     inputs += [poses, used, farthest, distance]
     launch(hand_distances, n, inputs, device, work_per_item=10)
     return np.asarray(distance.numpy())

@@ -27,7 +27,7 @@ def fit_wrist_icp(observation: Observation, hand: PackedHand, config: WristConfi
     )
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     model = RigidModel()
-    model.fields, model.spheres = hand.fields, hand.spheres
+    model.fields = hand.fields
     model.T_model_part = device_poses(T_hand_link, device)
     used = np.isin(np.arange(len(links)), palm).astype(np.int32)
     model.used = wp.array(used, dtype=int, device=device)

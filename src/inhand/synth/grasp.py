@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from inhand.errors import InputError
 from inhand.geometry import se3
 from inhand.hand import Finger, Hand, Link
-from inhand.kernels.depth import bounding_sphere
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.launch import launch
 from inhand.object_model import ObjectModel
@@ -67,9 +66,9 @@ class GraspSampler:
         self._device = device
         bodies: list[Link | ObjectModel] = [*hand.links, obj]
         self._object = len(hand.links)
-        self._fields = pack_fields([body.distance_field for body in bodies], device)
-        spheres = [bounding_sphere(body.mesh) for body in bodies]
-        self._spheres = wp.array(spheres, dtype=wp.vec4, device=device)
+        self._fields = pack_fields(
+            [body.distance_field for body in bodies], [body.mesh for body in bodies], device
+        )
         points = [body.surface.points for body in bodies]
         self._points = wp.array(np.concatenate(points), dtype=wp.vec3, device=device)
         start = np.cumsum([0, *map(len, points)])
@@ -168,7 +167,7 @@ class GraspSampler:
         launch(
             body_gaps,
             count,
-            [self._fields, self._spheres, self._points, self._start, samples, stop]
+            [self._fields, self._points, self._start, samples, stop]
             + [wp.array(body, dtype=int, device=device) for body in (one, other)]
             + [device_poses(T_other_one, device), gap],
             device,

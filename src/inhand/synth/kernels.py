@@ -5,8 +5,6 @@ import warp as wp
 from inhand.kernels.depth import Pinhole
 from inhand.kernels.fields import Fields, field_at
 
-wp.set_module_options({"enable_backward": False})
-
 AMBIENT = wp.constant(0.25)
 """Share of its colour that a surface shows without any lamp; the shares add up to 1."""
 HEADLIGHT = wp.constant(0.35)
@@ -160,7 +158,6 @@ def nearest_sample(
 @wp.kernel
 def body_gaps(
     fields: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     points: wp.array(dtype=wp.vec3),
     start: wp.array(dtype=int),
     most: int,
@@ -177,7 +174,6 @@ def body_gaps(
     bounding spheres are apart, their distance stands for the bodies'.
 
     Args (beyond the obvious):
-        spheres: bounding sphere of every body, body frame (centre, radius) [m].
         points, start: surface samples of all bodies, body frame, and where each body's begin.
         most: how many samples of a body are used.
         stop: a distance below this need not be exact [m].
@@ -187,8 +183,8 @@ def body_gaps(
     a = one[i]
     b = other[i]
     T = T_other_one[i]
-    s = spheres[a]
-    t = spheres[b]
+    s = fields.sphere[a]
+    t = fields.sphere[b]
     centre = wp.transform_point(T, wp.vec3(s[0], s[1], s[2]))
     apart = wp.length(centre - wp.vec3(t[0], t[1], t[2])) - s[3] - t[3]
     if apart > 0.0:

@@ -61,10 +61,3 @@ def about_origin(covariance: Array, T: Array, pivot: Array) -> Array:
     J = np.eye(6)
     J[3:, :3] = se3.skew(T[:3, :3] @ pivot)
     return np.asarray(J @ covariance @ J.T)
-
-
-def system_of(sums: Array) -> tuple[Array, Array]:
-    """Matrix (6, 6) and right-hand side (6,) from the 28 numbers of `kernels.hand_fit.TERMS`."""
-    A = np.zeros((6, 6))
-    A[np.triu_indices(6)] = sums[:21]
-    return A + np.triu(A, 1).T, sums[21:27]

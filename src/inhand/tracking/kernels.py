@@ -5,10 +5,9 @@ import warp as wp
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields, field_at
 from inhand.kernels.hand_fit import redescending
-from inhand.kernels.hand_terms import TERMS, add_term
-from inhand.kernels.object_fit import ObjectEvidence, sample_residual
-
-wp.set_module_options({"enable_backward": False})
+from inhand.kernels.normal_equations import Matrix6, Vector6, row_of
+from inhand.kernels.object_fit import ObjectEvidence, visible_residual
+from inhand.kernels.transforms import to_local
 
 
 @wp.func
@@ -23,7 +22,6 @@ def not_hand(distance: float, none: float, all: float):
 def object_weights(
     points: wp.array(dtype=wp.vec3),
     links: Fields,
-    spheres: wp.array(dtype=wp.vec4),
     T_camera_link: wp.array(dtype=wp.mat44),
     certain: wp.array(dtype=int),
     uncertain: wp.array(dtype=int),
@@ -50,12 +48,10 @@ def object_weights(
     i = first + wp.tid()
     p = points[i]
     weight[i] = 0.0
-    t = wp.vec3(T_camera_object[0, 3], T_camera_object[1, 3], T_camera_object[2, 3])
-    local = wp.transform_vector(wp.transpose(T_camera_object), p - t)
-    if field_at(obj, 0, local)[0] > near:
+    if field_at(obj, 0, to_local(T_camera_object, p))[0] > near:
         return
-    to_certain, _g, _k = nearest_body(links, spheres, T_camera_link, 0, certain, 0, p, all)
-    to_uncertain, _h, _l = nearest_body(links, spheres, T_camera_link, 0, uncertain, 0, p, all)
+    to_certain, _g, _k = nearest_body(links, T_camera_link, 0, certain, 0, p, all)
+    to_uncertain, _h, _l = nearest_body(links, T_camera_link, 0, uncertain, 0, p, all)
     doubt = not_hand(wp.min(to_certain, to_uncertain), none, all)
     weight[i] = not_hand(to_certain, none, all) * (share + (1.0 - share) * doubt)
 
@@ -73,7 +69,8 @@ def object_terms(
     segment_stride: int,
     image_weight: float,
     n_blocks: int,
-    terms: wp.array(dtype=float),
+    A: wp.array(dtype=Matrix6),
+    b: wp.array(dtype=Vector6),
     first: int,
 ):
     """One work item a block of points: the sums of `kernels.object_fit.refine_poses` at one pose.
@@ -86,25 +83,28 @@ def object_terms(
         segment_stride: every how many segment points one is used.
         image_weight: weight of one visible model sample against one segment point.
         n_blocks: blocks, which take turns in taking points.
-        terms: out, flat (block, TERMS); rotation before translation, camera axes.
+        A, b: out, sums of every block; rotation before translation, camera axes.
     """
     block = first + wp.tid()
-    at = block * TERMS
-    for k in range(at, at + TERMS):
-        terms[k] = 0.0
+    matrix = Matrix6()
+    side = Vector6()
     pivot = wp.transform_point(T, centre)
-    inverse = wp.transpose(T)
-    t = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
     for s in range(block * segment_stride, e.points.shape[0], n_blocks * segment_stride):
         p = e.points[s]
-        value = field_at(fields, 0, wp.transform_vector(inverse, p - t))
-        g = wp.transform_vector(T, wp.vec3(value[1], value[2], value[3]))
+        value = field_at(fields, 0, to_local(T, p))
+        g = wp.transform_vector(T, value[1:4])
         w = e.weights[s] * redescending(value[0], width) * wp.max(0.0, wp.dot(g, e.normals[s]))
         if w > 0.0:
-            add_term(terms, at, wp.cross(p - pivot, g), g, value[0], w)
+            row = row_of(p - pivot, g)
+            matrix += wp.outer(w * row, row)
+            side += w * value[0] * row
     for s in range(block, n_points, n_blocks):
         p = wp.transform_point(T, points[s])
         n = wp.transform_vector(T, normals[s])
-        r, w = sample_residual(e, p, n, width)
+        r, w = visible_residual(e, p, n, width)
         if w > 0.0:
-            add_term(terms, at, wp.cross(p - pivot, n), n, r, image_weight * w)
+            row = row_of(p - pivot, n)
+            matrix += wp.outer(image_weight * w * row, row)
+            side += image_weight * w * r * row
+    A[block] = matrix
+    b[block] = side

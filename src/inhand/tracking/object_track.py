@@ -8,15 +8,15 @@ import warp as wp
 
 from inhand.errors import NoAnswer
 from inhand.geometry import se3
-from inhand.kernels.hand_terms import TERMS
 from inhand.kernels.launch import launch
+from inhand.kernels.normal_equations import Matrix6, Vector6
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.observation import Observation
 from inhand.stages.refinement import fit_to_field
 from inhand.stages.results import HandState, Segment
 from inhand.tracking.config import TrackerConfig
-from inhand.tracking.gaussian import Array, moved, system_of, twist_between
+from inhand.tracking.gaussian import Array, moved, twist_between
 from inhand.tracking.kernels import object_terms, object_weights
 from inhand.tracking.rivals import Rival, told_apart
 from inhand.tracking.track import Track, start_covariance
@@ -78,7 +78,7 @@ def segment_near(
     launch(
         object_weights,
         len(weight),
-        [observation.points_on_device, hand.fields, hand.spheres]
+        [observation.points_on_device, hand.fields]
         + [device_poses(state.T_camera_link, device)]
         + [
             wp.array(links.astype(np.int32), device=device)
@@ -181,18 +181,19 @@ def _system(
 ) -> tuple[Array, Array]:
     """Gauss-Newton system of the image at pose `T`, (6, 6) and (6,)."""
     c = config.object
-    terms = wp.empty(BLOCKS * TERMS, dtype=float, device=obj.device)
+    A = wp.empty(BLOCKS, dtype=Matrix6, device=obj.device)
+    b = wp.empty(BLOCKS, dtype=Vector6, device=obj.device)
     n, stride = min(c.points, len(obj.points)), evidence.stride(c.points)
     launch(
         object_terms,
         BLOCKS,
         [evidence.arrays, _mat44(T)]
         + [obj.points, obj.normals, n, obj.fields, wp.vec3(*obj.model.centre.tolist())]
-        + [c.last_width, stride, c.image_weight, BLOCKS, terms],
+        + [c.last_width, stride, c.image_weight, BLOCKS, A, b],
         obj.device,
         work_per_item=(c.points + n) // BLOCKS,
     )
-    return system_of(terms.numpy().reshape(BLOCKS, TERMS).sum(axis=0, dtype=np.float64))
+    return A.numpy().sum(axis=0, dtype=np.float64), b.numpy().sum(axis=0, dtype=np.float64)
 
 
 def _mat44(T: Array) -> Any:
