@@ -48,6 +48,12 @@ def test_a_turn_that_does_not_show_is_no_rival() -> None:
     assert rivals_of(answer_of(held, others), held.obj, RULE) == ()
 
 
+def test_an_answer_without_candidates_has_no_rivals() -> None:
+    held = held_object("cuboid")
+    bare = replace(answer_of(held, []), candidates=())
+    assert rivals_of(bare, held.obj, RULE) == ()
+
+
 def test_there_are_a_few_at_most() -> None:
     held = held_object("cuboid")
     others = [(exp(np.array([0, 0, 0, 0, 0, 0.01 * k])), 1.5) for k in range(1, 8)]

@@ -29,9 +29,10 @@ def count_points_on_model(
     count = int(0)
     for k in range(points.shape[0]):
         value = field_at(fields, 0, to_local(T, points[k]))
-        if wp.abs(value[0]) < distance:
-            if wp.dot(normals[k], wp.transform_vector(T, value[1:4])) > cosine:
-                count += 1
+        if wp.abs(value[0]) >= distance:
+            continue
+        if wp.dot(normals[k], wp.transform_vector(T, value[1:4])) > cosine:
+            count += 1
     share[i] = float(count) / float(points.shape[0])
 
 

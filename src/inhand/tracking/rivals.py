@@ -34,16 +34,17 @@ def rivals_of(estimate: PoseEstimate, obj: PackedObject, config: RivalConfig) ->
         config: parameters.
     """
     poses = np.array([c.T_camera_object for c in estimate.candidates], dtype=np.float32)
-    leads = [
-        c.scores["score"] - estimate.candidates[0].scores["score"] for c in estimate.candidates
-    ]
+    scores = [c.scores["score"] for c in estimate.candidates]
     chosen = [0]
-    for i, lead in enumerate(leads):
+    rivals: list[Rival] = []
+    for i in range(1, len(poses)):
+        lead = scores[i] - scores[0]
         near = surface_distances_to(poses[chosen], poses[i], obj, 2 * config.apart)
-        if lead > -config.most_behind and near.min() > config.apart and len(chosen) <= config.most:
+        if lead > -config.most_behind and near.min() > config.apart and len(rivals) < config.most:
             chosen.append(i)
-    back = se3.inverse(poses[0].astype(np.float64))
-    return tuple(Rival(back @ poses[i].astype(np.float64), leads[i]) for i in chosen[1:])
+            back = se3.inverse(estimate.candidates[0].T_camera_object)
+            rivals.append(Rival(back @ estimate.candidates[i].T_camera_object, lead))
+    return tuple(rivals)
 
 
 def told_apart(
