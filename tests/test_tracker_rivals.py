@@ -61,7 +61,8 @@ def test_there_are_a_few_at_most() -> None:
 
 
 def test_images_tell_rivals_apart() -> None:
-    T, rivals = np.eye(4), (Rival(TURNED, 0.0), Rival(SHIFTED, 0.0))
+    T = np.eye(4)
+    rivals: tuple[Rival, ...] = (Rival(TURNED, 0.0), Rival(SHIFTED, 0.0))
     fitted = np.stack([TURNED, SHIFTED])
     for _ in range(30):
         rivals = told_apart(rivals, T, fitted[: len(rivals)], np.array([-0.1, -1.0]), RULE)
