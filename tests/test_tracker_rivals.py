@@ -9,7 +9,7 @@ from test_tracker_parts import CONFIG, SURE, follow_found, track_of
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.geometry import se3
 from inhand.geometry.se3 import exp
-from inhand.tracking.rivals import Rival, rivals_of, told_apart
+from inhand.tracking.rivals import Rival, rivals_of, share_of_answer, told_apart
 
 RULE = CONFIG.rivals
 TURNED = exp(np.array([np.pi / 2, 0, 0, 0, 0, 0]))
@@ -96,3 +96,10 @@ def test_a_rival_that_is_wrong_is_dropped() -> None:
         track = follow_found(held, track).kept_in(track, 0.9, CONFIG)
     assert track.rivals == ()
     np.testing.assert_allclose(track.T_camera_object, held.T_camera_object, atol=0.02)
+
+
+def test_a_rival_makes_unsure_as_far_as_it_is_likely() -> None:
+    assert share_of_answer((), RULE) == 1
+    np.testing.assert_allclose(share_of_answer((Rival(TURNED, 0.0),), RULE), 0.5)
+    behind, ahead = (share_of_answer((Rival(TURNED, x),), RULE) for x in (-0.15, 0.05))
+    assert ahead < 0.5 < 0.9 < behind < 1

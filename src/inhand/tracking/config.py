@@ -195,6 +195,8 @@ class RivalConfig(Section):
     """Weight of earlier images in how far a rival leads."""
     overtakes: NonNegative = 0.03
     """A rival that leads by more takes the answer's place."""
+    tells: float = 0.05
+    """A lead of this makes one pose e times as likely as another."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 They are followed as well, until the images have told them apart.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,11 @@ def rivals_of(estimate: PoseEstimate, obj: PackedObject, config: RivalConfig) ->
             back = se3.inverse(estimate.candidates[0].T_camera_object)
             rivals.append(Rival(back @ estimate.candidates[i].T_camera_object, lead))
     return tuple(rivals)
+
+
+def share_of_answer(rivals: tuple[Rival, ...], config: RivalConfig) -> float:
+    """Probability that it is the pose which is followed and none of its rivals, if it is one."""
+    return 1 / (1 + sum(math.exp(rival.lead / config.tells) for rival in rivals))
 
 
 def told_apart(

@@ -25,7 +25,7 @@ from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
 from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
 from inhand.tracking.rest import with_answer
-from inhand.tracking.rivals import rivals_of
+from inhand.tracking.rivals import rivals_of, share_of_answer
 from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
@@ -223,7 +223,9 @@ class PoseTracker:
             T_camera_object=track.answer,
             joint_positions=self._hand.hand.joint_dict(track.joint_vector),
             T_camera_hand=track.T_camera_hand,
-            confidence=track.confidence * self._accuracy(track),
+            confidence=track.confidence
+            * share_of_answer(track.rivals, self.config.rivals)
+            * self._accuracy(track),
             candidates=(Candidate(track.answer, {"score": score}),),
             timings=clock.seconds,
             covariance=self._covariance(),
