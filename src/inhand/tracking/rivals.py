@@ -23,7 +23,7 @@ class Rival:
     T_object_rival: Array
     """Where it is from the pose that is followed, shape (4, 4)."""
     lead: float
-    """By how much it scored better of late, less than 0 if it scored worse."""
+    """By how much its score of the estimator's selection was better of late, below 0 if worse."""
 
 
 def rivals_of(estimate: PoseEstimate, obj: PackedObject, config: RivalConfig) -> tuple[Rival, ...]:
@@ -49,7 +49,7 @@ def rivals_of(estimate: PoseEstimate, obj: PackedObject, config: RivalConfig) ->
 
 
 def share_of_answer(rivals: tuple[Rival, ...], config: RivalConfig) -> float:
-    """Probability that it is the pose which is followed and none of its rivals, if it is one."""
+    """Probability that the followed pose is right, if it or one of its rivals is."""
     return 1 / (1 + sum(math.exp(rival.lead / config.tells) for rival in rivals))
 
 
@@ -60,8 +60,8 @@ def told_apart(
 
     Args:
         rivals: the rivals before it.
-        T: the pose that is followed in it, shape (4, 4).
-        fitted: the rivals' poses in it, shape (r, 4, 4).
+        T: the pose that is followed in it, camera frame, shape (4, 4).
+        fitted: the rivals' poses in it, camera frame, shape (r, 4, 4).
         leads: by how much each of them scores better, shape (r,).
         config: parameters.
     """
