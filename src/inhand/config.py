@@ -164,7 +164,7 @@ class HandStateConfig(Section):
     """Width of the redescending weight in the last iteration [m]."""
     iterations: int = 6
     """Gauss-Newton iterations of every start."""
-    last_iterations: int = 8
+    last_iterations: int = 4
     """Gauss-Newton iterations of the best of the starts."""
     start_stride: int = 2
     """Every so-many-th point takes part in the iterations of the starts."""
