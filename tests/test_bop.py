@@ -6,13 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bop_nonsense import (
-    HAND,
-    assert_same,
-    bop_image,
-    write_dataset,
-    write_scene,
-)
+from bop_nonsense import HAND, assert_same, bop_image, write_dataset, write_scene
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -21,12 +15,7 @@ from inhand.datasets import bop, bop_frames, bop_scene
 from inhand.datasets.bop_images import read_image
 from inhand.datasets.bop_writer import finish_scene, write_image
 from inhand.datasets.exact import metres, millimetres
-from inhand.datasets.frames import (
-    find_frames,
-    find_hand,
-    frame_name,
-    read_frame,
-)
+from inhand.datasets.frames import find_frames, find_hand, frame_name, read_frame
 from inhand.errors import InputError
 
 POSES = st.lists(st.floats(-10, 10, allow_subnormal=True), min_size=3, max_size=3)

@@ -6,20 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bop_nonsense import (
-    bop_image,
-    write_dataset,
-)
+from bop_nonsense import bop_image, write_dataset
 from PIL import Image
 
 from inhand.datasets import bop
 from inhand.datasets.bop import HandInfo
 from inhand.datasets.bop_images import read_image
 from inhand.datasets.bop_writer import finish_scene, write_image
-from inhand.datasets.frames import (
-    find_frames,
-    read_frame,
-)
+from inhand.datasets.frames import find_frames, read_frame
 from inhand.errors import InputError
 
 

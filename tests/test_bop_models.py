@@ -7,16 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from bop_nonsense import (
-    three_objects,
-    write_dataset,
-)
+from bop_nonsense import three_objects, write_dataset
 
 from inhand.datasets.bop_models import load_model, write_models
-from inhand.datasets.frames import (
-    find_objects,
-    load_object,
-)
+from inhand.datasets.frames import find_objects, load_object
 from inhand.errors import InputError
 
 

@@ -8,9 +8,7 @@ import pytest
 from bop_nonsense import assert_same, write_dataset
 
 from inhand.datasets.bop_results import BopResult, read_results, write_results
-from inhand.datasets.frames import (
-    find_frames,
-)
+from inhand.datasets.frames import find_frames
 from inhand.errors import InputError
 from inhand.evaluation.bop_export import write_bop_results
 from inhand.evaluation.results import FrameResult

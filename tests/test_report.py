@@ -7,11 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from made_up_results import (
-    result,
-    study_of_everything,
-    write,
-)
+from made_up_results import result, study_of_everything, write
 from PIL import Image
 
 from inhand.cli import report as command
