@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from inhand.annotation.session import Session
 from inhand.annotation.workbench import Workbench
 from inhand.cli import main
 from inhand.datasets.bop_images import read_image
+from inhand.datasets.bop_writer import write_image
 from inhand.datasets.frames import find_frames, find_hand, find_objects, load_object, read_frame
 from inhand.errors import InputError
 from inhand.evaluation.metrics import ObjectMetric
@@ -193,16 +195,18 @@ def test_a_full_disk_leaves_the_last_data_set(
     before = [read_frame(path).depth for path in find_frames([out])]
     written = []
 
-    def fails(*arguments: object) -> None:
+    def fails(scene: Path, *arguments: Any) -> None:
         written.append(arguments)
         if len(written) > 1:
             raise InputError("cannot write: No space left on device")
+        write_image(scene, *arguments)
 
     monkeypatch.setattr(ground_truth, "write_image", fails)
     with pytest.raises(InputError, match="No space left"):
         write_ground_truth(out, session, files, hand, objects)
     after = [read_frame(path).depth for path in find_frames([out])]
     np.testing.assert_array_equal(before, after)
+    assert not list(out.rglob("*unfinished*"))  # what was begun takes no room
 
 
 def test_nothing_labelled_is_nothing_to_write(tmp_path: Path, scenes: list[Scene]) -> None:

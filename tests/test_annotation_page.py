@@ -7,7 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from browser import ViserPage, chromium
 from labelling_data import hand_files, true_label, workbench, write_folder, write_mesh
+from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from inhand.annotation.angles import angles_of, rotation_of
@@ -25,7 +26,9 @@ from inhand.annotation.session import Label, Session
 from inhand.annotation.storage import SESSION_FILE, load_session, save_session
 from inhand.annotation.workbench import Workbench
 from inhand.cli import main
+from inhand.cli.annotate import save_at_last
 from inhand.datasets.frames import find_frames, read_frame
+from inhand.errors import InputError
 from inhand.evaluation.hand_errors import wrist_error
 from inhand.evaluation.metrics import ObjectMetric
 from inhand.evaluation.symmetric_poses import nearest_symmetric
@@ -106,6 +109,11 @@ def shown_three(page: ViserPage, label: str) -> list[float]:
 def leave_field(page: ViserPage) -> None:
     """Take the focus out of a field, as a click into the 3D view does: then keys are heard."""
     page.tab.evaluate("document.activeElement.blur()")
+
+
+def disk_full(*_: Any) -> None:
+    """Instead of what writes."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def joint_field(joint: str) -> str:
@@ -336,12 +344,8 @@ def test_a_full_disk_is_said_and_the_label_kept(
     bench: Workbench, page: ViserPage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     joint = bench.hand.model.joint_names[0]
-
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     with monkeypatch.context() as disk:
-        disk.setattr(os, "fsync", full)
+        disk.setattr(os, "fsync", disk_full)
         page.enter(joint_field(joint), 44)
         page.wait_for_text("NOT SAVED")
         assert "No space left on device" in page.text()
@@ -468,6 +472,41 @@ def test_a_port_that_is_taken(command: list[str], capsys: pytest.CaptureFixture[
         other.bind(("127.0.0.1", port))
         other.listen()
         assert f"port {port} is taken" in said_by(capsys, command)
+
+
+class Waiting:
+    """Instead of the event that is waited for until Ctrl-C: there is room again then, or not."""
+
+    def __init__(self, make_room: Callable[[], None]) -> None:
+        self._make_room = make_room
+
+    def wait(self) -> None:
+        self._make_room()
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("room", [False, True])
+def test_labels_that_could_not_be_saved_are_saved_at_the_end(
+    bench: Workbench,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    room: bool,
+) -> None:
+    console, joint = Console(), bench.hand.model.joint_names[0]
+    save_at_last(bench, console)
+    assert not capsys.readouterr().out
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "fsync", disk_full)
+        bench.bend(joint, 0.5)
+        waiting = Waiting(disk.undo if room else lambda: None)
+        monkeypatch.setattr("inhand.cli.annotate.Event", lambda: waiting)
+        if room:
+            save_at_last(bench, console)
+        else:
+            with pytest.raises(InputError, match="the last changes are lost: cannot write"):
+                save_at_last(bench, console)
+    assert "NOT SAVED" in capsys.readouterr().out
+    assert (saved(bench.folder).label == bench.label) == room
 
 
 def test_a_broken_autosave_is_set_aside(command: list[str], tmp_path: Path) -> None:

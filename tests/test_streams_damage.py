@@ -26,6 +26,7 @@ from ros_recording import (
     storage_file,
     write_recording,
 )
+from rosbags import rosbag1
 
 from inhand.camera import Camera
 from inhand.errors import InputError
@@ -107,6 +108,21 @@ def test_damage_in_the_middle_of_a_whole_file(tmp_path: Path, kind: BagKind) -> 
     assert 20 <= len(found) < 40
     assert [f.name for f in found] == [str(i) for i in range(len(found))]
     assert all(f.depth is not None for f in found)
+
+
+def test_damage_that_the_library_has_no_words_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its assertions fail without a message."""
+
+    def fails(*_: object) -> None:
+        raise AssertionError
+
+    path = write_recording(tmp_path, "ros1", everything)
+    monkeypatch.setattr(rosbag1.Reader, "open", fails)
+    source = open_source(str(path), CONFIG)
+    with pytest.raises(InputError, match=r"\(its parts do not fit together\): its first"):
+        list(source.arrivals())
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -299,7 +299,9 @@ def test_a_page_shows_every_result_and_stays_until_ctrl_c(
     assert all(stages.selection is not None for stages in shown.values())
     (summary,) = waiting.summaries
     assert summary["processed"] == FRAMES
-    (ending,) = said_on_page
+    *running, ending = said_on_page
+    assert running[0] == "**Running**: 1 processed, 1 found, 0 dropped"
+    assert len(running) == FRAMES
     assert "The run has ended" in ending
     assert "4 processed, 4 found, 0 dropped" in ending
     said = " ".join(capsys.readouterr().err.split())

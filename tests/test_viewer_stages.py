@@ -124,7 +124,9 @@ def test_stages_that_were_not_reached_say_why() -> None:
     reached = [view.reached for view in hidden.stages]
     assert reached == [name in (REGION, WRIST, HAND) for name in STAGES]
     assert hidden.estimate.reason in stage(hidden, CHOICE).text
-    assert stage(hidden, CHOICE).placement(0).T_camera_object is None
+    placement = stage(hidden, CHOICE).placement(0)
+    assert placement.T_camera_object is None
+    np.testing.assert_array_equal(placement.T_camera_hand, hidden.estimate.T_camera_hand)
 
 
 def test_an_estimate_alone_has_the_choice_alone(analysis: Analysis) -> None:

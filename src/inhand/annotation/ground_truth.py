@@ -7,8 +7,8 @@ pixel where the camera read something clearly in front of them shows that, not t
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -81,23 +81,22 @@ def write_ground_truth(
     labelled = [file for file in files if session.status(file.name) == "labelled"]
     if not labelled:
         raise InputError("no image is labelled yet, so there is nothing to write")
-    unfinished = folder / "unfinished"
-    shutil.rmtree(unfinished, ignore_errors=True)
     makers = {name: ImageMaker(hand.model, number, obj) for name, (number, obj) in objects.items()}
     camera = None
-    for done, file in enumerate(labelled):
-        tell(done, len(labelled))
-        raw, label = file.read(), session.labels[file.name]
-        image = makers[label.object_name].make(raw, label)
-        camera = camera or image.camera
-        write_image(_scene(unfinished, file), file.image_id, image)
-    assert camera is not None
-    for scene in sorted({_scene(unfinished, file) for file in labelled}):
-        finish_scene(scene, hand.info)
-        sources = {f.image_id: f.name for f in labelled if _scene(unfinished, f) == scene}
-        write_whole(scene / SOURCES, json.dumps(sources, indent=1) + "\n")
-    write_models(folder / "models", dict(objects.values()))
-    _put_in_place(unfinished, folder / SPLIT)
+    with _unfinished(folder) as split:
+        for done, file in enumerate(labelled):
+            tell(done, len(labelled))
+            raw, label = file.read(), session.labels[file.name]
+            image = makers[label.object_name].make(raw, label)
+            camera = camera or image.camera
+            write_image(_scene(split, file), file.image_id, image)
+        assert camera is not None
+        for scene in sorted({_scene(split, file) for file in labelled}):
+            finish_scene(scene, hand.info)
+            sources = {f.image_id: f.name for f in labelled if _scene(split, f) == scene}
+            write_whole(scene / SOURCES, json.dumps(sources, indent=1) + "\n")
+        write_models(folder / "models", dict(objects.values()))
+        _put_in_place(split, folder / SPLIT)
     scenes = sorted({_scene(folder / SPLIT, file) for file in labelled})
     write_dataset_files(folder, camera, scenes)
     return len(labelled)
@@ -171,6 +170,17 @@ def _what_is_seen(rendered: Images, observed: NDArray[np.float32]) -> NDArray[np
 
 def _scene(split: Path, file: ImageFile) -> Path:
     return split / f"{file.scene_id:06d}"
+
+
+@contextmanager
+def _unfinished(folder: Path) -> Iterator[Path]:
+    """A folder for what is not finished; it is gone at the end, unless it was put in place."""
+    path = folder / "unfinished"
+    shutil.rmtree(path, ignore_errors=True)  # of a process that was killed
+    try:
+        yield path
+    finally:
+        shutil.rmtree(path, ignore_errors=True)  # on a full disk, the labels need the room
 
 
 def _put_in_place(new: Path, place: Path) -> None:

@@ -1,8 +1,9 @@
 """`inhand annotate`: label images by hand, on a web page."""
 
-import threading
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -108,6 +109,30 @@ def _serve(args: Annotate, bench: "Workbench", console: "Console") -> None:
             highlight=False,
         )
         try:
-            threading.Event().wait()
+            Event().wait()
         finally:
             page.stop()
+            save_at_last(bench, console)
+
+
+def save_at_last(bench: "Workbench", console: "Console") -> None:
+    """Save what could not be saved; the user may make room first.
+
+    Raises:
+        InputError: it still cannot be saved.
+    """
+    from inhand.errors import InputError
+
+    if bench.save_problem:
+        bench.save()
+    if bench.save_problem:
+        console.print(
+            f"NOT SAVED: {bench.save_problem}. Make room, then press Ctrl-C again to save and end",
+            highlight=False,
+            markup=False,
+        )
+        with suppress(KeyboardInterrupt):
+            Event().wait()
+        bench.save()
+    if bench.save_problem:
+        raise InputError(f"the last changes are lost: {bench.save_problem}")

@@ -35,7 +35,7 @@ def open_bag(path: Path) -> Bag:
     except PermissionError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
     except Exception as error:  # damaged files make the library raise nearly anything
-        reason = str(error).rstrip(".") or repr(error)
+        reason = _what_is_wrong(error)
     if (bag := salvage(files, kind, reason)) is not None:
         return bag
     raise InputError(f"nothing in the recording {path} can be read: {reason}")
@@ -70,7 +70,7 @@ class IndexedBag:
             self._reader.close()
             self._reader = self._open()  # the ROS 1 reader does not survive damage
             raise DamagedRecording(
-                f"{self._path} is damaged, and was read up to there: {error or repr(error)}"
+                f"{self._path} is damaged, and was read up to there: {_what_is_wrong(error)}"
             ) from error
 
     def close(self) -> None:
@@ -82,3 +82,8 @@ class IndexedBag:
         reader = rosbag1.Reader(path) if self.kind == "ros1" else rosbag2.Reader(path)
         reader.open()
         return reader
+
+
+def _what_is_wrong(error: Exception) -> str:
+    """What the library says of a damaged file; of some damage it says nothing."""
+    return str(error).rstrip(".") or "its parts do not fit together"

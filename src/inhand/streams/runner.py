@@ -33,6 +33,17 @@ class Counts:
     refused: int = 0
     """Images not estimated because they could not be decoded or were bad input."""
 
+    def after(self, result: "Result") -> "Counts":
+        """What became of the images up to and with this result."""
+        refused = result.frame.depth is None
+        return Counts(
+            processed=self.processed + 1,
+            found=self.found + result.estimate.found,
+            dropped=self.dropped + result.dropped,
+            without_wrist=self.without_wrist + (not refused and result.frame.T_camera_hand is None),
+            refused=self.refused + refused,
+        )
+
     def in_words(self) -> str:
         """What became of the images; what did not happen is left out, dropped images never."""
         parts = [f"{self.processed} processed", f"{self.found} found", f"{self.dropped} dropped"]
@@ -135,7 +146,7 @@ def run(
         for arrival in islice(arrivals, limit):
             result = _process(arrival, estimate)
             with interrupt_held():
-                counts = _count(counts, result)
+                counts = counts.after(result)
                 first_problem = first_problem or _problem(result)
                 first_not_found = first_not_found or _not_found(result)
                 for output in outputs:
@@ -193,17 +204,6 @@ def _not_found(result: Result) -> str:
     if result.frame.problem or result.estimate.found:
         return ""
     return f"image {result.frame.name}: {result.estimate.reason}"
-
-
-def _count(counts: Counts, result: Result) -> Counts:
-    refused = result.frame.depth is None
-    return Counts(
-        processed=counts.processed + 1,
-        found=counts.found + result.estimate.found,
-        dropped=counts.dropped + result.dropped,
-        without_wrist=counts.without_wrist + (not refused and result.frame.T_camera_hand is None),
-        refused=counts.refused + refused,
-    )
 
 
 def _finish(outputs: Sequence[Output], summary: Summary) -> None:

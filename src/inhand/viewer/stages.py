@@ -107,7 +107,7 @@ class _Views:
         if observation is None:
             return self._missing(REGION)
         facts = [
-            f"{len(observation.points)} points, of every {observation.step}th pixel along a side",
+            f"{len(observation.points)} points, one in {observation.step} pixels along a side",
             f"noise of the readings: {1000 * observation.noise:.1f} mm",
         ]
         return self._view(REGION, what, facts, clouds.plain(observation))
@@ -207,10 +207,11 @@ class _Views:
         )
 
     def _missing(self, name: str) -> StageView:
-        """The view of a stage that the estimate did not get to."""
+        """The view of a stage that the estimate did not get to, with the hand if that was found."""
         why = self.estimate.reason or "there is no estimate"
         cloud = None if self.results.observation is None else clouds.plain(self.results.observation)
-        view = self._view(name, "", [], cloud)
+        found = replace(Placement.of_estimate(self.estimate, self.hand.hand), T_camera_object=None)
+        view = self._view(name, "", [], cloud, found)
         return replace(view, text=f"**Not reached**: {why}.", reached=False)
 
     def _joints(self, positions: dict[str, float]) -> list[str]:

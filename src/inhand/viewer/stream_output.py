@@ -9,7 +9,7 @@ from inhand.estimate import PoseEstimate
 from inhand.estimator import PoseEstimator, StageResults
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
-from inhand.streams.runner import Result, Summary
+from inhand.streams.runner import Counts, Result, Summary
 from inhand.streams.source import Frame
 from inhand.viewer.frames import ViewedFrame
 from inhand.viewer.live import LiveView
@@ -66,10 +66,13 @@ class PageOutput:
     ) -> None:
         self._view = LiveView(hand, obj, host=host, port=port, config=config, device=device)
         self._hand, self._obj, self._kept, self._ending = hand, obj, kept, ""
+        self._counts = Counts()
         self.address = self._view.address
 
     def write(self, result: Result) -> None:
-        """Show a result; what has no depth image is left out."""
+        """Show a result, and what became of the images so far; no depth image, no picture."""
+        self._counts = self._counts.after(result)
+        self._view.say(f"**Running**: {self._counts.in_words()}")
         if result.frame.depth is not None:
             stages = None if self._kept is None else self._kept.stages_of(result.estimate)
             self._view.show(partial(self._viewed, result.frame), result.estimate, stages)
