@@ -1,11 +1,15 @@
 """A quick search whose answer is taken if it is sure."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 
 from inhand import EstimatorConfig, PoseEstimator
 from inhand.config import FirstLookConfig
+from inhand.stages.results import Selection
+from inhand.stages.selection import select
 from inhand.synth.scene import Scene
 
 CONFIG = EstimatorConfig()
@@ -52,3 +56,30 @@ def test_a_quick_search_without_a_pose_is_not_the_end(scenes: list[Scene]) -> No
 
 def test_the_paper_has_no_first_look() -> None:
     assert EstimatorConfig.paper().first_look.enough == 1
+
+
+def test_where_the_whole_search_disagrees_with_the_quick_one_it_is_less_sure(
+    scenes: list[Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The quick search's answer is put elsewhere on its way to the whole search."""
+    scene = scenes[0]
+    never_sure = replace(CONFIG, first_look=replace(CONFIG.first_look, enough=0.99999))
+    own = estimator(scene, never_sure)
+    given = scene.depth, scene.camera, scene.T_camera_hand_given
+    asked = []
+
+    def moved(*args: Any) -> Selection:
+        *rest, earlier = args
+        asked.append(earlier)
+        if earlier is not None:
+            poses = earlier.T_camera_object.copy()
+            poses[:, 0, 3] += 0.05
+            earlier = replace(earlier, poses=replace(earlier.poses, T_camera_object=poses))
+        return select(*rest, earlier=earlier)
+
+    agreed = own.estimate(*given)
+    monkeypatch.setattr("inhand.estimator.select", moved)
+    disagreed = own.estimate(*given)
+    assert [earlier is None for earlier in asked] == [True, False]
+    np.testing.assert_array_equal(disagreed.T_camera_object, agreed.T_camera_object)
+    assert disagreed.confidence < agreed.confidence

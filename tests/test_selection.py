@@ -14,7 +14,12 @@ from inhand.stages.selection import select
 CONFIG = SelectionConfig()
 
 
-def selected(scene: HeldObject, poses: np.ndarray, config: SelectionConfig = CONFIG) -> Selection:
+def selected(
+    scene: HeldObject,
+    poses: np.ndarray,
+    config: SelectionConfig = CONFIG,
+    earlier: Selection | None = None,
+) -> Selection:
     evidence = gather_evidence(
         scene.observation, scene.hand_state, scene.segment, scene.hand, EvidenceConfig()
     )
@@ -27,6 +32,7 @@ def selected(scene: HeldObject, poses: np.ndarray, config: SelectionConfig = CON
         scene.hand,
         scene.obj,
         config,
+        earlier,
     )
 
 
@@ -107,6 +113,22 @@ def test_a_rival_makes_the_answer_less_certain() -> None:
     )
     assert rival < hopeless < alone
     assert variant == alone
+
+
+def test_an_earlier_answer_elsewhere_makes_the_answer_less_certain() -> None:
+    """Only where it lies counts: the same pose again, or a slight variant, changes nothing."""
+    scene = held_object("industrial_part")
+    true = scene.T_camera_object
+    variant, elsewhere = true @ exp(np.array([[0, 0, 0, 0.001, 0, 0], [0.3, 0, 0, 0.02, 0, 0]]))
+    alone, same, near, far = (
+        selected(scene, true[None], earlier=earlier).confidence
+        for earlier in (None, *(selected(scene, T[None]) for T in (true, variant, elsewhere)))
+    )
+    assert alone == same == near
+    log_odds = np.log([p / (1 - p) for p in (alone, far)])
+    np.testing.assert_allclose(log_odds[0] - log_odds[1], CONFIG.confidence_elsewhere, atol=1e-6)
+    nothing = selected(scene, np.zeros((0, 4, 4)))
+    assert selected(scene, true[None], earlier=nothing).confidence == alone
 
 
 def test_a_pose_within_the_hand_is_less_certain() -> None:

@@ -130,7 +130,7 @@ class PoseEstimator:
             while (reached := next(stages, None)) is not None:
                 results = reached
         except NoAnswer as problem:
-            return self._no_answer(str(problem), results, clock), results
+            return self._answer(results, clock, str(problem)), results
         return self._answer(results, clock), results
 
     def _stages(
@@ -192,14 +192,14 @@ class PoseEstimator:
         )
         yield (r := replace(r, hand_state=state, segment=segment))
 
+        first = r
         for search in searches[:-1]:
-            first = r
             with suppress(NoAnswer):
                 for first in self._pose_stages(r, evidence, search, clock, rng):
                     yield first
             if first.confidence >= c.first_look.enough:
                 return
-        yield from self._pose_stages(r, evidence, searches[-1], clock, rng)
+        yield from self._pose_stages(r, evidence, searches[-1], clock, rng, first.selection)
 
     def _pose_stages(
         self,
@@ -208,8 +208,9 @@ class PoseEstimator:
         c: EstimatorConfig,
         clock: "Clock",
         rng: np.random.Generator,
+        earlier: Selection | None = None,
     ) -> Iterator[StageResults]:
-        """The stages from hypotheses to selection, as `_stages`."""
+        """The stages from hypotheses to selection, as `_stages`, after an earlier search."""
         hand, obj, state, segment = self.hand, self.object, r.hand_state, r.segment
 
         hypotheses = clock.time(
@@ -228,14 +229,22 @@ class PoseEstimator:
 
         selection = clock.time(
             "selection", select, pruned, r.observation, state, segment, evidence, hand, obj,
-            c.selection,
+            c.selection, earlier,
         )  # fmt: skip
         yield replace(r, selection=selection)
 
-    def _answer(self, results: StageResults, clock: "Clock") -> PoseEstimate:
+    def _answer(self, results: StageResults, clock: "Clock", problem: str = "") -> PoseEstimate:
         selection, state = results.selection, results.hand_state
-        if selection is None or state is None or not len(selection.poses):
-            return self._no_answer("no pose of the object agrees with the image", results, clock)
+        if problem or selection is None or state is None or not len(selection.poses):
+            return PoseEstimate(
+                found=False,
+                reason=problem or "no pose of the object agrees with the image",
+                T_camera_object=None,
+                joint_positions=self.hand.hand.joint_dict(state.joint_vector) if state else {},
+                T_camera_hand=state.T_camera_hand if state else None,
+                confidence=0.0,
+                timings=clock.seconds,
+            )
         candidates = tuple(
             Candidate(np.asarray(T, dtype=np.float64), {"score": float(s)})
             for T, s in zip(selection.T_camera_object, selection.score, strict=True)
@@ -248,18 +257,6 @@ class PoseEstimator:
             T_camera_hand=state.T_camera_hand,
             confidence=selection.confidence,
             candidates=candidates,
-            timings=clock.seconds,
-        )
-
-    def _no_answer(self, reason: str, results: StageResults, clock: "Clock") -> PoseEstimate:
-        state = results.hand_state
-        return PoseEstimate(
-            found=False,
-            reason=reason,
-            T_camera_object=None,
-            joint_positions=self.hand.hand.joint_dict(state.joint_vector) if state else {},
-            T_camera_hand=state.T_camera_hand if state else None,
-            confidence=0.0,
             timings=clock.seconds,
         )
 

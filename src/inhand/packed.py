@@ -118,12 +118,8 @@ class PackedHand:
             trace_bodies,
             (around[2] - around[0]) * (around[3] - around[1]),
             [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
-            + [
-                wp.array(windows, dtype=wp.vec4i, device=self.device, copy=False),
-                wp.vec4i(*around),
-                depth,
-                self._no_image if link is None else link,
-            ],
+            + [wp.array(windows, dtype=wp.vec4i, device=self.device, copy=False)]
+            + [wp.vec4i(*around), depth, self._no_image if link is None else link],
             self.device,
             work_per_item=30,
         )

@@ -23,12 +23,14 @@ def select(
     hand: PackedHand,
     obj: PackedObject,
     config: SelectionConfig,
+    earlier: Selection | None = None,
 ) -> Selection:
     """Rank the poses.
 
     The paper keeps the best third by rendering discrepancy, then takes the highest LCP. By default
     one score weighs hits, free-space violations, occlusion, missing readings and contact; hidden
-    fingers are placed against the best few poses before the last word.
+    fingers are placed against the best few poses before the last word. The answer of an `earlier`
+    search of the same image is a second opinion: where it lies elsewhere, this one is less sure.
     """
     if config.method == "render":
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
@@ -39,20 +41,28 @@ def select(
         ranked = distinct_poses(scored, obj, config.merge_distance, len(poses))
         ranked, joint_vector = place_hidden_fingers(ranked, evidence, obj, config)
     candidates = ranked.take(np.arange(min(config.candidates, len(ranked))))
-    return Selection(candidates, _confidence(ranked, evidence, obj, config), joint_vector)
+    confidence = _confidence(ranked, earlier, evidence, obj, config)
+    return Selection(candidates, confidence, joint_vector)
 
 
 def _confidence(
-    ranked: PoseSet, evidence: Evidence, obj: PackedObject, config: SelectionConfig
+    ranked: PoseSet,
+    earlier: Selection | None,
+    evidence: Evidence,
+    obj: PackedObject,
+    config: SelectionConfig,
 ) -> float:
-    """Probability that the first pose is right: how well it fits, and its lead over any rival.
+    """Probability that the first pose is right: how well it fits, its lead over any rival, and
+    whether an earlier answer agrees.
 
     A rival is a pose whose surface lies elsewhere; slight variants of the first pose are none.
     """
     if not len(ranked):
         return 0.0
-    apart = surface_distances_to(ranked.T_camera_object, ranked.T_camera_object[0], obj, 0.1)
-    rivals = ranked.score[apart > config.rival_distance]
+    other = earlier.T_camera_object[:1] if earlier else ranked.T_camera_object[:0]
+    poses = np.concatenate([ranked.T_camera_object, other])
+    elsewhere = surface_distances_to(poses, poses[0], obj, 0.1) > config.rival_distance
+    rivals = ranked.score[elsewhere[: len(ranked)]]
     lead = float(ranked.score[0] - rivals.max()) if len(rivals) else config.max_lead
     first = device_poses(ranked.T_camera_object[:1], obj.device)
     visible, explained = agreement(evidence, obj, first, config)[0]
@@ -61,6 +71,7 @@ def _confidence(
         + config.confidence_visible * min(float(visible), config.max_visible)
         + config.confidence_explained * float(explained)
         + config.confidence_lead * math.sqrt(min(max(lead, 0.0), config.max_lead))
+        - config.confidence_elsewhere * float(elsewhere[len(ranked) :].sum())
         - config.confidence_contact
         * float(contact_penalty(evidence, obj, first, config.contact_points)[0])
     )
