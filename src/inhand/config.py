@@ -124,7 +124,7 @@ class HandStateConfig(Section):
     """Configurations tried per finger, rounded down to a power of two."""
     shortlist: int = 512
     """The best of these that are tried once more beside the other fingers."""
-    alternatives: int = 6
+    alternatives: int = 4
     """Distinct configurations per finger that enter the joint refinement."""
     distinct_angle: NonNegative = 0.1
     """Configurations that differ by less than this in every joint are one [rad]."""
@@ -132,7 +132,7 @@ class HandStateConfig(Section):
     """Metres of a prismatic joint that count as one radian in angles and spreads [m/rad]."""
     coarse_points: int = 64
     """Surface samples of a link during the search."""
-    fine_points: int = 200
+    fine_points: int = 120
     """Surface samples of a link around an alternative."""
     early_points: int = 16
     """After so many samples of a link a hopeless configuration is given up."""
@@ -152,7 +152,7 @@ class HandStateConfig(Section):
     """Penalty of a surface point behind something else."""
     allowed: int = 256
     """Configurations per finger that are kept for placing a hidden finger against the object."""
-    local_samples: int = 32
+    local_samples: int = 16
     """Configurations tried around every alternative before the joint refinement."""
     local_spread: NonNegative = 0.07
     """Standard deviation of these around the alternative [rad]."""
@@ -162,9 +162,9 @@ class HandStateConfig(Section):
     """Width of the redescending weight in the last iteration of the starts [m]."""
     last_width: float = 0.004
     """Width of the redescending weight in the last iteration [m]."""
-    iterations: int = 6
+    iterations: int = 4
     """Gauss-Newton iterations of every start."""
-    last_iterations: int = 8
+    last_iterations: int = 4
     """Gauss-Newton iterations of the best of the starts."""
     start_stride: int = 2
     """Every so-many-th point takes part in the iterations of the starts."""

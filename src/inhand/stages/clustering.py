@@ -7,7 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import ClusteringConfig
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, on_device
 from inhand.kernels.pose_distance import compare_poses, surface_distances
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.evidence import Evidence, score_with_contact
@@ -53,7 +53,7 @@ def distinct_poses(poses: PoseSet, obj: PackedObject, distance: float, keep: int
         launch(
             compare_poses,
             len(block),
-            [T, wp.array(others, dtype=int, device=obj.device), len(chosen), begin]
+            [T, on_device(others, int, obj.device), len(chosen), begin]
             + [*_surface(obj), distance, alike],
             obj.device,
             work_per_item=4 * len(others),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from inhand.config import EvidenceConfig
 from inhand.kernels.contact import link_clearances
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, on_device
 from inhand.kernels.object_fit import ObjectEvidence, score_poses
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.hand_visibility import visibility_rule
@@ -81,9 +81,9 @@ def gather_evidence(
     # A fixed shuffle makes every strided subset an even sample of the segment.
     order = np.random.default_rng(0).permutation(len(segment.points))
     weights = segment.weight[order]
-    e.points = wp.array(segment.points[order], dtype=wp.vec3, device=device)
-    e.normals = wp.array(segment.normals[order], dtype=wp.vec3, device=device)
-    e.weights = wp.array(weights, dtype=float, device=device)
+    e.points = on_device(segment.points[order], wp.vec3, device)
+    e.normals = on_device(segment.normals[order], wp.vec3, device)
+    e.weights = on_device(weights, float, device)
     e.near, e.share_weight = config.near, config.share_weight
     return Evidence(e, weights, hand, hand_state, config)
 

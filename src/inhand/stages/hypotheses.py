@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from inhand.config import HypothesesConfig
 from inhand.errors import NoAnswer
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, on_device
 from inhand.kernels.pair_matching import match_pairs
 from inhand.packed import PackedObject
 from inhand.stages.congruent_sets import generate_from_congruent_sets
@@ -97,8 +97,8 @@ def _match(
     """Poses from the pair table on the device; empty draws are zero matrices."""
     device, matches = obj.device, config.matches
     poses = wp.empty(len(a) * matches, dtype=wp.mat44, device=device)
-    inputs = [wp.array(x, dtype=wp.vec3, device=device) for x in (segment.points, segment.normals)]
-    inputs += [wp.array(pair, dtype=int, device=device) for pair in (a, b)]
+    inputs = [on_device(x, wp.vec3, device) for x in (segment.points, segment.normals)]
+    inputs += [on_device(pair, int, device) for pair in (a, b)]
     inputs += [obj.pairs, matches, seed, poses]
     launch(match_pairs, len(a), inputs, device, work_per_item=10 * matches)
     return poses

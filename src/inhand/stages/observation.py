@@ -15,7 +15,7 @@ from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
 from inhand.kernels.depth_image import fit_planes, missing_in_rows, missing_share
 from inhand.kernels.hand_fit import DepthView
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, on_device
 
 NEAREST = 1e-3
 """Smaller depths are no readings [m]; their inverses would overflow."""
@@ -66,12 +66,12 @@ class Observation:
     @cached_property
     def points_on_device(self) -> Any:
         """The points of the scene cloud, `wp.array` of vec3."""
-        return wp.array(self.points, dtype=wp.vec3, device=self.view.depth.device)
+        return on_device(self.points, wp.vec3, self.view.depth.device)
 
     @cached_property
     def normals_on_device(self) -> Any:
         """The normals of the scene cloud, `wp.array` of vec3."""
-        return wp.array(self.normals, dtype=wp.vec3, device=self.view.depth.device)
+        return on_device(self.normals, wp.vec3, self.view.depth.device)
 
     def cloud(self, step: int) -> Cloud:
         """The scene cloud made of every `step`-th pixel, along either side."""
@@ -120,7 +120,7 @@ def observe(
         )
     view = DepthView()
     view.camera = pinhole(roi)
-    view.depth = wp.array(window.reshape(-1), dtype=float, device=device)
+    view.depth = on_device(window.reshape(-1), float, device)
     smooth_on_device, view.normals = _surfaces(view.camera, view.depth, far, config)
     view.missing = _missing_share(view.camera, view.depth, config.missing_window)
     smooth = smooth_on_device.numpy().reshape(window.shape)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from inhand.config import EstimatorConfig, SecondLookConfig
 from inhand.geometry.se3 import Array
 from inhand.kernels.hand_fit import explained_weights
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, on_device
 from inhand.packed import PackedHand, device_poses
 from inhand.stages.articulated_fit import whole_hand_fit
 from inhand.stages.observation import Observation
@@ -72,9 +72,9 @@ def _explained(
     launch(
         explained_weights,
         len(out),
-        [wp.array(segment.points[::stride], dtype=wp.vec3, device=device)]
-        + [wp.array(weights, dtype=float, device=device), hand.fields]
-        + [device_poses(T_camera_link, device), wp.array(used, dtype=int, device=device)]
+        [on_device(segment.points[::stride], wp.vec3, device)]
+        + [on_device(weights, float, device), hand.fields]
+        + [device_poses(T_camera_link, device), on_device(used, int, device)]
         + [config.near, out],
         device,
         work_per_item=10 * len(weights),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from inhand.config import SegmentationConfig
 from inhand.errors import NoAnswer
 from inhand.kernels.hand_fit import hand_distances
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, on_device
 from inhand.packed import PackedHand, device_poses
 from inhand.stages.background import Background
 from inhand.stages.observation import Cloud, Observation
@@ -107,8 +107,8 @@ def distances_to_hand(
     device, n = hand.device, len(points)
     distance = wp.empty(n, dtype=float, device=device)
     poses = device_poses(hand_state.T_camera_link, device)
-    used = wp.array(links.astype(np.int32), dtype=int, device=device)
-    inputs = [wp.array(points, dtype=wp.vec3, device=device), hand.fields]
+    used = on_device(links.astype(np.int32), int, device)
+    inputs = [on_device(points, wp.vec3, device), hand.fields]
     inputs += [poses, used, farthest, distance]
     launch(hand_distances, n, inputs, device, work_per_item=10)
     return np.asarray(distance.numpy())
