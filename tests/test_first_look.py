@@ -58,28 +58,33 @@ def test_the_paper_has_no_first_look() -> None:
     assert EstimatorConfig.paper().first_look.enough == 1
 
 
-def test_where_the_whole_search_disagrees_with_the_quick_one_it_is_less_sure(
+def test_two_searches_that_disagree_are_less_sure_and_followed_by_a_third(
     scenes: list[Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The quick search's answer is put elsewhere on its way to the whole search."""
+    """What a search is told of the one before is moved by 5 cm."""
     scene = scenes[0]
     never_sure = replace(CONFIG, first_look=replace(CONFIG.first_look, enough=0.99999))
     own = estimator(scene, never_sure)
     given = scene.depth, scene.camera, scene.T_camera_hand_given
-    asked = []
+    answers: list[Selection] = []
+    apart = 0.0
 
-    def moved(*args: Any) -> Selection:
-        *rest, earlier = args
-        asked.append(earlier)
+    def told(*args: Any) -> Selection:
+        *_, earlier = args
         if earlier is not None:
+            assert earlier is answers[-1]
             poses = earlier.T_camera_object.copy()
-            poses[:, 0, 3] += 0.05
+            poses[:, 0, 3] += apart
             earlier = replace(earlier, poses=replace(earlier.poses, T_camera_object=poses))
-        return select(*rest, earlier=earlier)
+        answers.append(select(*(*args[:-1], earlier)))
+        return answers[-1]
 
+    monkeypatch.setattr("inhand.estimator.select", told)
     agreed = own.estimate(*given)
-    monkeypatch.setattr("inhand.estimator.select", moved)
+    assert [answer.contested for answer in answers] == [False, False]
+    answers.clear()
+    apart = 0.05
     disagreed = own.estimate(*given)
-    assert [earlier is None for earlier in asked] == [True, False]
-    np.testing.assert_array_equal(disagreed.T_camera_object, agreed.T_camera_object)
+    assert [answer.contested for answer in answers] == [False, True, True]
+    assert disagreed.confidence == max(answer.confidence for answer in answers[1:])
     assert disagreed.confidence < agreed.confidence

@@ -471,8 +471,8 @@ class SelectionConfig(Section):
     """Log odds taken away per unit of the contact penalty."""
     confidence_lead: float = 5.5
     """Log odds per unit of the lead's square root."""
-    confidence_elsewhere: NonNegative = 1.0
-    """Log odds taken away if the quick search before has found a rival."""
+    confidence_contested: NonNegative = 0.7
+    """Log odds taken away if the search before has found a rival."""
     candidates: int = 10
     """Ranked alternatives reported."""
 

@@ -126,8 +126,7 @@ class PoseEstimator:
         clock = Clock()
         results = StageResults()
         try:
-            stages = self._stages(image, camera, T, clock)
-            while (reached := next(stages, None)) is not None:
+            for reached in self._stages(image, camera, T, clock):
                 results = reached
         except NoAnswer as problem:
             return self._answer(results, clock, str(problem)), results
@@ -161,16 +160,10 @@ class PoseEstimator:
             for other in clock.time(
                 "second_look", hands_in_segment, observation, state, best.segment, hand, c
             ):
-                again = self._second_look(r, observation, other, searches[:1], clock, rng)
+                stages = self._object_stages(r, observation, other, searches[:1], clock, rng)
+                again = _last(r, stages)
                 if again.confidence > best.confidence:
                     yield (best := again)
-
-    def _second_look(self, r: StageResults, *args: Any) -> StageResults:
-        """The object stages' results with another hand, as far as they come."""
-        with suppress(NoAnswer):
-            for reached in self._object_stages(r, *args):
-                r = reached
-        return r
 
     def _object_stages(
         self,
@@ -182,7 +175,8 @@ class PoseEstimator:
         rng: np.random.Generator,
     ) -> Iterator[StageResults]:
         """The stages that follow the hand's, as `_stages`; one search after the other until the
-        answer is sure."""
+        answer is sure. Where two disagree there is a third, of the last kind, and the surer of the
+        last two is the answer."""
         c, hand, diameter = self.config, self.hand, self.object.model.diameter
         segment = clock.time(
             "segmentation", segment_object, observation, state, hand, diameter, c.segmentation
@@ -192,14 +186,19 @@ class PoseEstimator:
         )
         yield (r := replace(r, hand_state=state, segment=segment))
 
-        first = r
-        for search in searches[:-1]:
-            with suppress(NoAnswer):
-                for first in self._pose_stages(r, evidence, search, clock, rng):
-                    yield first
-            if first.confidence >= c.first_look.enough:
+        search, earlier = searches[-1], r
+        for quick in searches[:-1]:
+            earlier = _last(r, self._pose_stages(r, evidence, quick, clock, rng))
+            if earlier.confidence >= c.first_look.enough:
+                yield earlier
                 return
-        yield from self._pose_stages(r, evidence, searches[-1], clock, rng, first.selection)
+        best = r
+        for best in self._pose_stages(r, evidence, search, clock, rng, earlier.selection):
+            yield best
+        if best.selection is not None and best.selection.contested:
+            again = _last(r, self._pose_stages(r, evidence, search, clock, rng, best.selection))
+            if again.confidence > best.confidence:
+                yield again
 
     def _pose_stages(
         self,
@@ -259,6 +258,14 @@ class PoseEstimator:
             candidates=candidates,
             timings=clock.seconds,
         )
+
+
+def _last(reached: StageResults, stages: Iterator[StageResults]) -> StageResults:
+    """What some stages, as far as they come, return last."""
+    with suppress(NoAnswer):
+        for further in stages:
+            reached = further
+    return reached
 
 
 def check_depth(depth: Any, camera: Camera) -> NDArray[np.float32]:

@@ -41,28 +41,26 @@ def select(
         ranked = distinct_poses(scored, obj, config.merge_distance, len(poses))
         ranked, joint_vector = place_hidden_fingers(ranked, evidence, obj, config)
     candidates = ranked.take(np.arange(min(config.candidates, len(ranked))))
-    confidence = _confidence(ranked, earlier, evidence, obj, config)
-    return Selection(candidates, confidence, joint_vector)
+    contested = False
+    if earlier and len(earlier.poses) and len(ranked):
+        first, other = ranked.T_camera_object[:1], earlier.T_camera_object[0]
+        contested = surface_distances_to(first, other, obj, 0.1)[0] > config.rival_distance
+    confidence = _confidence(ranked, contested, evidence, obj, config)
+    return Selection(candidates, confidence, joint_vector, contested)
 
 
 def _confidence(
-    ranked: PoseSet,
-    earlier: Selection | None,
-    evidence: Evidence,
-    obj: PackedObject,
-    config: SelectionConfig,
+    ranked: PoseSet, contested: bool, evidence: Evidence, obj: PackedObject, config: SelectionConfig
 ) -> float:
     """Probability that the first pose is right: how well it fits, its lead over any rival, and
-    whether an earlier answer agrees.
+    whether it is `contested` by another search.
 
     A rival is a pose whose surface lies elsewhere; slight variants of the first pose are none.
     """
     if not len(ranked):
         return 0.0
-    other = earlier.T_camera_object[:1] if earlier else ranked.T_camera_object[:0]
-    poses = np.concatenate([ranked.T_camera_object, other])
-    elsewhere = surface_distances_to(poses, poses[0], obj, 0.1) > config.rival_distance
-    rivals = ranked.score[elsewhere[: len(ranked)]]
+    apart = surface_distances_to(ranked.T_camera_object, ranked.T_camera_object[0], obj, 0.1)
+    rivals = ranked.score[apart > config.rival_distance]
     lead = float(ranked.score[0] - rivals.max()) if len(rivals) else config.max_lead
     first = device_poses(ranked.T_camera_object[:1], obj.device)
     visible, explained = agreement(evidence, obj, first, config)[0]
@@ -71,7 +69,7 @@ def _confidence(
         + config.confidence_visible * min(float(visible), config.max_visible)
         + config.confidence_explained * float(explained)
         + config.confidence_lead * math.sqrt(min(max(lead, 0.0), config.max_lead))
-        - config.confidence_elsewhere * float(elsewhere[len(ranked) :].sum())
+        - config.confidence_contested * contested
         - config.confidence_contact
         * float(contact_penalty(evidence, obj, first, config.contact_points)[0])
     )
