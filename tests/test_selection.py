@@ -125,7 +125,6 @@ def test_an_earlier_answer_elsewhere_makes_the_answer_less_certain() -> None:
         for earlier in (None, *(selected(scene, T[None]) for T in (true, variant, elsewhere)))
     )
     assert alone == same == near
-    assert selected(scene, true[None], earlier=selected(scene, elsewhere[None])).contested
     log_odds = np.log([p / (1 - p) for p in (alone, far)])
     np.testing.assert_allclose(log_odds[0] - log_odds[1], CONFIG.confidence_contested, atol=1e-6)
     nothing = selected(scene, np.zeros((0, 4, 4)))

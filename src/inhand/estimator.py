@@ -129,7 +129,7 @@ class PoseEstimator:
             for reached in self._stages(image, camera, T, clock):
                 results = reached
         except NoAnswer as problem:
-            return self._answer(results, clock, str(problem)), results
+            return self._no_answer(str(problem), results, clock), results
         return self._answer(results, clock), results
 
     def _stages(
@@ -160,10 +160,16 @@ class PoseEstimator:
             for other in clock.time(
                 "second_look", hands_in_segment, observation, state, best.segment, hand, c
             ):
-                stages = self._object_stages(r, observation, other, searches[:1], clock, rng)
-                again = _last(r, stages)
+                again = self._second_look(r, observation, other, searches[:1], clock, rng)
                 if again.confidence > best.confidence:
                     yield (best := again)
+
+    def _second_look(self, r: StageResults, *args: Any) -> StageResults:
+        """The object stages' results with another hand, as far as they come."""
+        with suppress(NoAnswer):
+            for reached in self._object_stages(r, *args):
+                r = reached
+        return r
 
     def _object_stages(
         self,
@@ -175,8 +181,7 @@ class PoseEstimator:
         rng: np.random.Generator,
     ) -> Iterator[StageResults]:
         """The stages that follow the hand's, as `_stages`; one search after the other until the
-        answer is sure. Where two disagree there is a third, of the last kind, and the surer of the
-        last two is the answer."""
+        answer is sure."""
         c, hand, diameter = self.config, self.hand, self.object.model.diameter
         segment = clock.time(
             "segmentation", segment_object, observation, state, hand, diameter, c.segmentation
@@ -186,19 +191,14 @@ class PoseEstimator:
         )
         yield (r := replace(r, hand_state=state, segment=segment))
 
-        search, earlier = searches[-1], r
-        for quick in searches[:-1]:
-            earlier = _last(r, self._pose_stages(r, evidence, quick, clock, rng))
-            if earlier.confidence >= c.first_look.enough:
-                yield earlier
+        first = r
+        for search in searches[:-1]:
+            with suppress(NoAnswer):
+                for first in self._pose_stages(r, evidence, search, clock, rng):
+                    yield first
+            if first.confidence >= c.first_look.enough:
                 return
-        best = r
-        for best in self._pose_stages(r, evidence, search, clock, rng, earlier.selection):
-            yield best
-        if best.selection is not None and best.selection.contested:
-            again = _last(r, self._pose_stages(r, evidence, search, clock, rng, best.selection))
-            if again.confidence > best.confidence:
-                yield again
+        yield from self._pose_stages(r, evidence, searches[-1], clock, rng, first.selection)
 
     def _pose_stages(
         self,
@@ -209,7 +209,7 @@ class PoseEstimator:
         rng: np.random.Generator,
         earlier: Selection | None = None,
     ) -> Iterator[StageResults]:
-        """The stages from hypotheses to selection, as `_stages`, after an earlier search."""
+        """The stages from hypotheses to selection, as `_stages`, after an `earlier` search."""
         hand, obj, state, segment = self.hand, self.object, r.hand_state, r.segment
 
         hypotheses = clock.time(
@@ -232,18 +232,10 @@ class PoseEstimator:
         )  # fmt: skip
         yield replace(r, selection=selection)
 
-    def _answer(self, results: StageResults, clock: "Clock", problem: str = "") -> PoseEstimate:
+    def _answer(self, results: StageResults, clock: "Clock") -> PoseEstimate:
         selection, state = results.selection, results.hand_state
-        if problem or selection is None or state is None or not len(selection.poses):
-            return PoseEstimate(
-                found=False,
-                reason=problem or "no pose of the object agrees with the image",
-                T_camera_object=None,
-                joint_positions=self.hand.hand.joint_dict(state.joint_vector) if state else {},
-                T_camera_hand=state.T_camera_hand if state else None,
-                confidence=0.0,
-                timings=clock.seconds,
-            )
+        if selection is None or state is None or not len(selection.poses):
+            return self._no_answer("no pose of the object agrees with the image", results, clock)
         candidates = tuple(
             Candidate(np.asarray(T, dtype=np.float64), {"score": float(s)})
             for T, s in zip(selection.T_camera_object, selection.score, strict=True)
@@ -259,13 +251,17 @@ class PoseEstimator:
             timings=clock.seconds,
         )
 
-
-def _last(reached: StageResults, stages: Iterator[StageResults]) -> StageResults:
-    """What some stages, as far as they come, return last."""
-    with suppress(NoAnswer):
-        for further in stages:
-            reached = further
-    return reached
+    def _no_answer(self, reason: str, results: StageResults, clock: "Clock") -> PoseEstimate:
+        state = results.hand_state
+        return PoseEstimate(
+            found=False,
+            reason=reason,
+            T_camera_object=None,
+            joint_positions=self.hand.hand.joint_dict(state.joint_vector) if state else {},
+            T_camera_hand=state.T_camera_hand if state else None,
+            confidence=0.0,
+            timings=clock.seconds,
+        )
 
 
 def check_depth(depth: Any, camera: Camera) -> NDArray[np.float32]:

@@ -81,8 +81,6 @@ class Selection:
     """Probability that the first pose is right, 0..1."""
     joint_vector: NDArray[np.float64]
     """The hand's joints, with hidden fingers placed against the first pose [rad], shape (n,)."""
-    contested: bool = False
-    """Whether the search before found another pose."""
 
     @property
     def T_camera_object(self) -> NDArray[np.float32]:

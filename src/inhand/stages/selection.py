@@ -46,7 +46,7 @@ def select(
         first, other = ranked.T_camera_object[:1], earlier.T_camera_object[0]
         contested = surface_distances_to(first, other, obj, 0.1)[0] > config.rival_distance
     confidence = _confidence(ranked, contested, evidence, obj, config)
-    return Selection(candidates, confidence, joint_vector, contested)
+    return Selection(candidates, confidence, joint_vector)
 
 
 def _confidence(
