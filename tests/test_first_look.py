@@ -58,10 +58,10 @@ def test_the_paper_has_no_first_look() -> None:
     assert EstimatorConfig.paper().first_look.enough == 1
 
 
-def test_the_whole_search_is_less_sure_where_the_quick_one_found_another_pose(
+def test_the_whole_search_is_surer_where_the_quick_one_found_the_same_pose(
     scenes: list[Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The whole search is told that the quick one's answer is 5 cm away."""
+    """The second time, the whole search is told that the quick one's answer is 5 cm away."""
     scene = scenes[0]
     never_sure = replace(CONFIG, first_look=replace(CONFIG.first_look, enough=0.99999))
     own = estimator(scene, never_sure)
@@ -78,9 +78,9 @@ def test_the_whole_search_is_less_sure_where_the_quick_one_found_another_pose(
         answers.append(select(*(*args[:-1], earlier)))
         return answers[-1]
 
-    agreed = own.estimate(*given)
+    confirmed = own.estimate(*given)
     monkeypatch.setattr("inhand.estimator.select", told)
-    disagreed = own.estimate(*given)
+    alone = own.estimate(*given)
     assert len(answers) == 2
-    np.testing.assert_array_equal(disagreed.T_camera_object, agreed.T_camera_object)
-    assert disagreed.confidence < agreed.confidence
+    np.testing.assert_array_equal(alone.T_camera_object, confirmed.T_camera_object)
+    assert alone.confidence < confirmed.confidence

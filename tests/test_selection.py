@@ -115,20 +115,18 @@ def test_a_rival_makes_the_answer_less_certain() -> None:
     assert variant == alone
 
 
-def test_an_earlier_answer_elsewhere_makes_the_answer_less_certain() -> None:
-    """Only where it lies counts: the same pose again, or a slight variant, changes nothing."""
+def test_the_same_answer_of_an_earlier_search_makes_the_answer_more_certain() -> None:
+    """Only where it lies counts: a slight variant is the same, a pose elsewhere is none."""
     scene = held_object("industrial_part")
     true = scene.T_camera_object
     variant, elsewhere = true @ exp(np.array([[0, 0, 0, 0.001, 0, 0], [0.3, 0, 0, 0.02, 0, 0]]))
-    alone, same, near, far = (
-        selected(scene, true[None], earlier=earlier).confidence
-        for earlier in (None, *(selected(scene, T[None]) for T in (true, variant, elsewhere)))
-    )
-    assert alone == same == near
-    log_odds = np.log([p / (1 - p) for p in (alone, far)])
-    np.testing.assert_allclose(log_odds[0] - log_odds[1], CONFIG.confidence_contested, atol=1e-6)
-    nothing = selected(scene, np.zeros((0, 4, 4)))
-    assert selected(scene, true[None], earlier=nothing).confidence == alone
+    answers = [None, *(selected(scene, T[None]) for T in (elsewhere, true, variant))]
+    answers.append(selected(scene, np.zeros((0, 4, 4))))
+    odds = [selected(scene, true[None], earlier=answer).confidence for answer in answers]
+    alone, rival, same, near, nothing = np.log(odds) - np.log1p(-np.array(odds))
+    assert alone == rival == nothing
+    assert same == near
+    np.testing.assert_allclose(same - alone, CONFIG.confidence_confirmed, atol=1e-6)
 
 
 def test_a_pose_within_the_hand_is_less_certain() -> None:

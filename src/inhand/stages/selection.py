@@ -30,7 +30,7 @@ def select(
     The paper keeps the best third by rendering discrepancy, then takes the highest LCP. By default
     one score weighs hits, free-space violations, occlusion, missing readings and contact; hidden
     fingers are placed against the best few poses before the last word. The answer of an `earlier`
-    search of the same image is a second opinion: where it lies elsewhere, this one is less sure.
+    search of the same image is a second opinion: where it is the same, this one is surer.
     """
     if config.method == "render":
         ranked = select_by_rendering(poses, observation, hand_state, hand, obj, segment, config)
@@ -41,19 +41,19 @@ def select(
         ranked = distinct_poses(scored, obj, config.merge_distance, len(poses))
         ranked, joint_vector = place_hidden_fingers(ranked, evidence, obj, config)
     candidates = ranked.take(np.arange(min(config.candidates, len(ranked))))
-    contested = False
+    confirmed = False
     if earlier and len(earlier.poses) and len(ranked):
         first, other = ranked.T_camera_object[:1], earlier.T_camera_object[0]
-        contested = surface_distances_to(first, other, obj, 0.1)[0] > config.rival_distance
-    confidence = _confidence(ranked, contested, evidence, obj, config)
+        confirmed = surface_distances_to(first, other, obj, 0.1)[0] <= config.rival_distance
+    confidence = _confidence(ranked, confirmed, evidence, obj, config)
     return Selection(candidates, confidence, joint_vector)
 
 
 def _confidence(
-    ranked: PoseSet, contested: bool, evidence: Evidence, obj: PackedObject, config: SelectionConfig
+    ranked: PoseSet, confirmed: bool, evidence: Evidence, obj: PackedObject, config: SelectionConfig
 ) -> float:
     """Probability that the first pose is right: how well it fits, its lead over any rival, and
-    whether it is `contested` by another search.
+    whether it is `confirmed` by another search.
 
     A rival is a pose whose surface lies elsewhere; slight variants of the first pose are none.
     """
@@ -69,7 +69,7 @@ def _confidence(
         + config.confidence_visible * min(float(visible), config.max_visible)
         + config.confidence_explained * float(explained)
         + config.confidence_lead * math.sqrt(min(max(lead, 0.0), config.max_lead))
-        - config.confidence_contested * contested
+        + config.confidence_confirmed * confirmed
         - config.confidence_contact
         * float(contact_penalty(evidence, obj, first, config.contact_points)[0])
     )
