@@ -107,6 +107,23 @@ def test_the_cloud_is_an_even_subset_of_all_pixels() -> None:
         assert step * pixel == pytest.approx(CONFIG.point_spacing, abs=0.6 * pixel)
 
 
+def test_a_part_of_the_cloud_is_the_whole_one_in_the_rectangle_of_the_image() -> None:
+    scene, T = scene_of()
+    found = seen(scene.depth, T)
+    whole = found.cloud(step=1)
+    pixels = found.camera.project(whole.points)
+    u, v = np.median(pixels, axis=0)
+    around = whole.points[(np.abs(pixels - (u, v)) < 12).all(axis=1)]
+    reached = found.camera.project(around)
+    wide = (pixels >= reached.min(axis=0) - found.step - 0.5) & (
+        pixels <= reached.max(axis=0) + found.step + 0.5
+    )
+    part = found.cloud(1, around)
+    assert len(around) < len(part.points) < len(whole.points) / 4
+    np.testing.assert_array_equal(part.points, whole.points[wide.all(axis=1)])
+    np.testing.assert_array_equal(part.normals, whole.normals[wide.all(axis=1)])
+
+
 def test_what_is_behind_the_hand_stays_in_the_image_but_not_in_the_cloud() -> None:
     scene, T = scene_of()
     wall = np.where(scene.depth > 0, scene.depth, 3.0)

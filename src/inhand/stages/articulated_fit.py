@@ -68,7 +68,7 @@ class ArticulatedFit:
         self.point_information = point_information
         p = hand_terms.FitProblem()
         p.view = observation.view
-        p.points, p.normals = observation.points_on_device, observation.normals_on_device
+        p.points, p.normals = observation.cloud_on_device
         p.fields, p.chain = hand.fields, hand.chain
         p.hand_points, p.hand_normals, p.hand_link = hand.points, hand.normals, hand.link
         p.lower, p.upper = hand.lower, hand.upper

@@ -64,19 +64,26 @@ class Observation:
     """Standard deviation of the depth readings [m], estimated from the image."""
 
     @cached_property
-    def points_on_device(self) -> Any:
-        """The points of the scene cloud, `wp.array` of vec3."""
-        return on_device(self.points, wp.vec3, self.view.depth.device)
+    def cloud_on_device(self) -> list[Any]:
+        """Points and normals of the scene cloud, `wp.array` of vec3."""
+        device = self.view.depth.device
+        return [on_device(vectors, wp.vec3, device) for vectors in (self.points, self.normals)]
 
-    @cached_property
-    def normals_on_device(self) -> Any:
-        """The normals of the scene cloud, `wp.array` of vec3."""
-        return on_device(self.normals, wp.vec3, self.view.depth.device)
+    def cloud(self, step: int, around: NDArray[np.float32] | None = None) -> Cloud:
+        """The scene cloud made of every `step`-th pixel, along either side.
 
-    def cloud(self, step: int) -> Cloud:
-        """The scene cloud made of every `step`-th pixel, along either side."""
+        Args:
+            step: 1 for every pixel.
+            around: points [m], shape (n, 3); the rectangle of the image that shows them is enough.
+        """
         normals = self.view.normals.numpy().reshape(*self.smooth.shape, 3)
-        return _cloud(self.smooth, normals, self.camera, self.sphere, step)
+        every = (slice(step // 2, None, step),) * 2
+        if around is not None:
+            pixels = self.camera.project(around).astype(int)
+            low = np.maximum(pixels.min(axis=0) - self.step, 0)
+            high = pixels.max(axis=0) + self.step + 1
+            every = slice(low[1], high[1], step), slice(low[0], high[0], step)
+        return _cloud(self.smooth, normals, self.camera, self.sphere, every)
 
 
 def observe(
@@ -127,7 +134,8 @@ def observe(
     normals = view.normals.numpy().reshape(*window.shape, 3)
     distance = float((window * inside).sum()) / count
     step = max(1, round(config.point_spacing * roi.fx / distance))
-    cloud = _cloud(smooth, normals, roi, (centre, radius), step)
+    every = slice(step // 2, None, step)
+    cloud = _cloud(smooth, normals, roi, (centre, radius), (every, every))
     if len(cloud.points) < config.min_points:
         raise NoAnswer("almost no depth readings lie in the region of the hand")
     return Observation(
@@ -162,8 +170,7 @@ def _surfaces(camera: Any, depth: Any, far: float, config: ObservationConfig) ->
     device = str(depth.device)
     smooth = wp.empty(len(depth), dtype=float, device=device)
     normals = wp.empty(len(depth), dtype=wp.vec3, device=device)
-    window = [config.normal_window, config.normal_gate, far]
-    inputs = [camera, depth, *window, smooth, normals]
+    inputs = [camera, depth, config.normal_window, config.normal_gate, far, smooth, normals]
     launch(fit_planes, len(depth), inputs, device, work_per_item=25)
     return smooth, normals
 
@@ -217,17 +224,16 @@ def _cloud(
     normals: NDArray[np.float32],
     roi: Camera,
     sphere: tuple[NDArray[np.float64], float],
-    step: int,
+    every: tuple[slice, slice],
 ) -> Cloud:
-    """The points in the sphere of every `step`-th pixel that has a normal."""
-    every = slice(step // 2, None, step)
-    z = smooth[every, every]
-    u, v = np.arange(roi.width)[every], np.arange(roi.height)[every]
+    """The points in the sphere of those pixels in the rows and columns that have a normal."""
+    z, normals = smooth[every], normals[every]
+    v, u = np.arange(roi.height)[every[0]], np.arange(roi.width)[every[1]]
     x = ((u - roi.cx) / roi.fx).astype(np.float32) * z
     y = ((v - roi.cy) / roi.fy).astype(np.float32)[:, None] * z
     centre, radius = sphere[0].astype(np.float32), np.float32(sphere[1])
     with np.errstate(over="ignore"):  # is far away
         squares = (x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2
-    near = np.flatnonzero((squares < radius * radius) & (normals[every, every, 2] != 0))
+    near = np.flatnonzero((squares < radius * radius) & (normals[..., 2] != 0))
     points = np.stack([axis.ravel()[near] for axis in (x, y, z)], axis=1)
-    return Cloud(points, normals[every, every].reshape(-1, 3)[near])
+    return Cloud(points, normals.reshape(-1, 3)[near])

@@ -91,8 +91,7 @@ class FingerCost:
         self.wrist, self.hand, self.config = wrist, hand, config
         device = hand.device
         self.scene = SceneCloud()
-        self.scene.points = observation.points_on_device
-        self.scene.normals = observation.normals_on_device
+        self.scene.points, self.scene.normals = observation.cloud_on_device
         self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=device)
         self._grid.build(self.scene.points, config.lcp_distance)
         self.scene.grid = self._grid.id

@@ -45,10 +45,10 @@ def segment_object(
         background = Background(observation, is_hand, object_diameter, config)
         cloud = background.removed_from(cloud)
     segment = _segment(cloud, hand_state, hand, object_diameter, config)
-    if soft and len(segment.points) < config.dense_below:
+    if soft and 0 < len(segment.points) < config.dense_below:
         share = len(segment.points) / config.dense_points
         step = max(1, int(observation.step * math.sqrt(share)))
-        cloud = background.removed_from(observation.cloud(step))
+        cloud = background.removed_from(observation.cloud(step, segment.points))
         segment = _segment(cloud, hand_state, hand, object_diameter, config)
     if segment.weight.sum() < config.min_points:
         raise NoAnswer(
@@ -108,7 +108,6 @@ def distances_to_hand(
     distance = wp.empty(n, dtype=float, device=device)
     poses = device_poses(hand_state.T_camera_link, device)
     used = on_device(links.astype(np.int32), int, device)
-    inputs = [on_device(points, wp.vec3, device), hand.fields]
-    inputs += [poses, used, farthest, distance]
+    inputs = [on_device(points, wp.vec3, device), hand.fields, poses, used, farthest, distance]
     launch(hand_distances, n, inputs, device, work_per_item=10)
     return np.asarray(distance.numpy())

@@ -36,8 +36,7 @@ def fit_wrist_icp(observation: Observation, hand: PackedHand, config: WristConfi
     pose = wp.clone(device_poses(observation.T_camera_hand, device))
     inputs = [
         model,
-        observation.points_on_device,
-        observation.normals_on_device,
+        *observation.cloud_on_device,
         config.max_distance,
         float(np.cos(config.max_normal_angle)),
         config.iterations,

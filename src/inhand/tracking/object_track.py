@@ -78,7 +78,7 @@ def segment_near(
     launch(
         object_weights,
         len(weight),
-        [observation.points_on_device, hand.fields]
+        [observation.cloud_on_device[0], hand.fields]
         + [device_poses(state.T_camera_link, device)]
         + [
             wp.array(links.astype(np.int32), device=device)
