@@ -126,8 +126,7 @@ class PoseEstimator:
         clock = Clock()
         results = StageResults()
         try:
-            stages = self._stages(image, camera, T, clock)
-            while (reached := next(stages, None)) is not None:
+            for reached in self._stages(image, camera, T, clock):
                 results = reached
         except NoAnswer as problem:
             return self._no_answer(str(problem), results, clock), results
@@ -192,8 +191,8 @@ class PoseEstimator:
         )
         yield (r := replace(r, hand_state=state, segment=segment))
 
+        first = r
         for search in searches[:-1]:
-            first = r
             with suppress(NoAnswer):
                 for first in self._pose_stages(r, evidence, search, clock, rng):
                     yield first

@@ -118,12 +118,8 @@ class PackedHand:
             trace_bodies,
             (around[2] - around[0]) * (around[3] - around[1]),
             [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
-            + [
-                on_device(windows, wp.vec4i, self.device),
-                wp.vec4i(*around),
-                depth,
-                self._no_image if link is None else link,
-            ],
+            + [on_device(windows, wp.vec4i, self.device), wp.vec4i(*around), depth]
+            + [self._no_image if link is None else link],
             self.device,
             work_per_item=30,
         )

@@ -79,14 +79,9 @@ def surface_distances_to(
         farthest: larger distances are cut off here [m].
     """
     out = wp.empty(len(T_camera_object), dtype=float, device=obj.device)
-    launch(
-        surface_distances,
-        len(T_camera_object),
-        [device_poses(T_camera_object, obj.device), wp.mat44(*T.reshape(-1).tolist())]
-        + [*_surface(obj), farthest, out],
-        obj.device,
-        work_per_item=5,
-    )
+    inputs = [device_poses(T_camera_object, obj.device), wp.mat44(*T.reshape(-1).tolist())]
+    inputs += [*_surface(obj), farthest, out]
+    launch(surface_distances, len(out), inputs, obj.device, work_per_item=5)
     return np.asarray(out.numpy())
 
 

@@ -197,12 +197,7 @@ def clearances(
     device, count, links = obj.device, len(T_camera_object), len(hand.hand.links)
     points = min(points, len(obj.points))
     clearance = wp.empty(count * links, dtype=float, device=device)
-    launch(
-        link_clearances,
-        count * links,
-        [T_camera_object, obj.points, points, hand.fields]
-        + [device_poses(hand_state.T_camera_link, device), farthest, clearance],
-        device,
-        work_per_item=4 * points,
-    )
+    inputs = [T_camera_object, obj.points, points, hand.fields]
+    inputs += [device_poses(hand_state.T_camera_link, device), farthest, clearance]
+    launch(link_clearances, count * links, inputs, device, work_per_item=4 * points)
     return np.asarray(clearance.numpy().reshape(count, links))
