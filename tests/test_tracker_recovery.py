@@ -12,13 +12,7 @@ from inhand.geometry.se3 import rotation_angle, transform
 from inhand.object_symmetry import rotations_about
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import moved, twist_between
-from inhand.tracking.recovery import (
-    Sighting,
-    resumed,
-    same_place,
-    stands_beside_the_hand,
-    with_better_hand,
-)
+from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
 from inhand.tracking.track import Track
 
 CONFIG = TrackerConfig()
@@ -145,14 +139,3 @@ def test_an_answer_turned_by_a_symmetry_does_not_turn_the_track() -> None:
     after = resumed(track_of(held), answer, *args)
     turn = rotation_angle(after.T_camera_object[:3, :3], held.T_camera_object[:3, :3])
     assert turn < np.radians(2)
-
-
-@pytest.mark.parametrize("followed_is_right", [True, False])
-def test_the_hand_that_the_image_supports_goes_on(followed_is_right: bool) -> None:
-    held = held_object("cuboid")
-    right = track_of(held)
-    bent = replace(right, joint_vector=right.joint_vector + 0.3, images=0)
-    followed, answer = (right, bent) if followed_is_right else (bent, right)
-    after = with_better_hand(followed, answer, held.observation, held.hand, CONFIG)
-    np.testing.assert_array_equal(after.joint_vector, right.joint_vector)
-    assert after.images == answer.images, "only the hand is another"

@@ -14,7 +14,6 @@ from inhand.geometry import se3
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import gather_evidence, score_with_contact
-from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
@@ -83,34 +82,6 @@ def stands_beside_the_hand(
     one, selection = T[None].astype(np.float32), config.estimator.selection
     score = float(score_with_contact(evidence, obj, one, selection)[0])
     return seen_confidence(c.again, score, c) >= c.lost
-
-
-def with_better_hand(
-    track: Track, resumed: Track, observation: Observation, hand: PackedHand, config: TrackerConfig
-) -> Track:
-    """The track that goes on from an answer, with the hand that its image supports better.
-
-    Args:
-        track: the track before, with its hand as the image shows it.
-        resumed: the track that begins with the answer, and with its hand.
-        observation: the image.
-        hand: the hand.
-        config: parameters.
-    """
-
-    def support(of: Track) -> float:
-        links = hand.link_poses(of.joint_vector[None], of.T_camera_hand[None])[0]
-        return hand_support(observation, hand, links, config.estimator.hand_state).whole
-
-    if support(resumed) > support(track):
-        return resumed
-    return replace(
-        resumed,
-        T_camera_hand=track.T_camera_hand,
-        joint_vector=track.joint_vector,
-        hand_covariance=track.hand_covariance,
-        certain=track.certain,
-    )
 
 
 def same_place(T: Array, other: Array, obj: PackedObject, config: TrackerConfig) -> bool:

@@ -1,6 +1,5 @@
 """The tracker: follows hand and object from image to image, and finds them again when lost."""
 
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -24,13 +23,7 @@ from inhand.tracking.gaussian import Array
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
-from inhand.tracking.recovery import (
-    Sighting,
-    resumed,
-    same_place,
-    stands_beside_the_hand,
-    with_better_hand,
-)
+from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
 from inhand.tracking.rest import with_answer
 from inhand.tracking.rivals import rivals_of, share_of_answer
 from inhand.tracking.track import Track, begun, predicted
@@ -180,20 +173,17 @@ class PoseTracker:
         if estimate.confidence < self.config.loss.accept:
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
             return self._unconfirmed(estimate, given, reason, clock)
-        observation = self._view(image, camera)
-        if not self._stands_beside_the_hand(estimate, observation):
+        if not self._stands_beside_the_hand(estimate, image, camera):
             return self._no_answer("the search takes a part of the hand for the object", clock)
         self._sighting = Sighting.of(estimate)
         if not self._confirmed(estimate, before):
             reason = "no second image agrees yet on where the object is"
             return self._unconfirmed(estimate, given, reason, clock)
         self._lost = False
-        self._track = track = self._resumed(estimate, given, observation)
+        self._track = track = self._resumed(estimate, given)
         return replace(
             estimate,
             T_camera_object=track.answer,
-            joint_positions=self._hand.hand.joint_dict(track.joint_vector),
-            T_camera_hand=track.T_camera_hand,
             timings=clock.seconds,
             covariance=self._answers.covariance(track),
         )
@@ -238,20 +228,16 @@ class PoseTracker:
         T, c = track.T_camera_object, self.config.rivals
         return replace(track, rivals=rivals_of(estimate, T, self._object, c, known))
 
-    def _view(self, image: NDArray[np.float32], camera: Camera) -> Observation | None:
-        """The image where the track expects hand and object, if there is a track and it does."""
-        if self._track is None:
-            return None
-        with suppress(NoAnswer):
-            return look_at(image, camera, self._track, self._hand, self._object, self.config)
-        return None
-
     def _stands_beside_the_hand(
-        self, estimate: PoseEstimate, observation: Observation | None
+        self, estimate: PoseEstimate, image: NDArray[np.float32], camera: Camera
     ) -> bool:
         """Whether a search took no part of the followed hand for the object, if one is followed."""
         track, hand, obj, config = self._track, self._hand, self._object, self.config
-        if track is None or observation is None:
+        if track is None:
+            return True
+        try:
+            observation = look_at(image, camera, track, hand, obj, config)
+        except NoAnswer:
             return True
         return stands_beside_the_hand(estimate, track, observation, hand, obj, config)
 
@@ -267,17 +253,13 @@ class PoseTracker:
             alone = same_place(sighting.T_camera_object, track.T_camera_object, obj, config)
         return alone or (before is not None and sighting.agrees_with(before, obj, config))
 
-    def _resumed(
-        self, estimate: PoseEstimate, given: Array, observation: Observation | None
-    ) -> Track:
+    def _resumed(self, estimate: PoseEstimate, given: Array) -> Track:
         """The track after a search."""
         before, hand, obj, config = self._track, self._hand, self._object, self.config
         if before is None:
             track = begun(estimate, given, hand.hand, config)
         else:
             track = resumed(before, estimate, given, hand, obj, config)
-            if observation is not None:
-                track = with_better_hand(before, track, observation, hand, config)
         first = estimate.candidates[0].T_camera_object
         return replace(track, rivals=rivals_of(estimate, first, obj, config.rivals))
 
