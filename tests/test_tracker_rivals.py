@@ -8,7 +8,7 @@ from test_tracker_parts import CONFIG, SURE, follow_found, track_of
 
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.geometry import se3
-from inhand.geometry.se3 import exp
+from inhand.geometry.se3 import exp, rotation_angle
 from inhand.tracking.rivals import Rival, rivals_of, share_of_answer, told_apart
 
 RULE = CONFIG.rivals
@@ -127,3 +127,19 @@ def test_a_rival_makes_unsure_as_far_as_it_is_likely() -> None:
     np.testing.assert_allclose(share_of_answer((Rival(TURNED, 0.0),), RULE), 0.5)
     behind, ahead = (share_of_answer((Rival(TURNED, x),), RULE) for x in (-0.15, 0.05))
     assert ahead < 0.5 < 0.9 < behind < 1
+
+
+def test_a_rival_is_turned_no_more_than_it_must_be() -> None:
+    """Of poses that look the same: an answer must not jump by half a turn that does not show."""
+    held = held_object("cuboid")
+    symmetry = held.obj.model.symmetry
+    assert len(symmetry.rotations) > 1
+    others = [(SHIFTED @ symmetry.rotations[1], 1.45)]
+    (rival,) = rivals_of(answer_of(held, others), held.T_camera_object, held.obj, RULE)
+    assert rotation_angle(rival.T_object_rival[:3, :3], np.eye(3)) < 1e-3
+
+
+def test_a_rival_that_is_hardly_elsewhere_does_not_make_unsure() -> None:
+    near, far = (Rival(SHIFTED, 0.0, distance) for distance in (0.003, 0.008))
+    assert share_of_answer((near,), RULE) == 1
+    assert share_of_answer((near, far), RULE) == 0.5

@@ -169,7 +169,8 @@ def _overtaken(
 ) -> Track:
     """The track with a rival in the place of the pose T, which is a rival from now on."""
     there = se3.inverse(ahead.T_object_rival)
-    behind = [Rival(np.eye(4), 0.0), *(rival for rival in rivals if rival is not ahead)]
+    before = Rival(np.eye(4), 0.0, ahead.apart)
+    behind = [before, *(rival for rival in rivals if rival is not ahead)]
     start = start_covariance(config)
     return replace(
         track,
@@ -177,7 +178,10 @@ def _overtaken(
         object_covariance=start,
         lasting=config.start.lasting * np.sqrt(start),
         motion=np.zeros(6),
-        rivals=tuple(Rival(there @ r.T_object_rival, r.lead - ahead.lead) for r in behind),
+        rivals=tuple(
+            replace(r, T_object_rival=there @ r.T_object_rival, lead=r.lead - ahead.lead)
+            for r in behind
+        ),
     )
 
 

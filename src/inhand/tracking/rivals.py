@@ -15,6 +15,9 @@ from inhand.stages.clustering import surface_distances_to
 from inhand.tracking.config import RivalConfig
 from inhand.tracking.gaussian import Array
 
+SPINS = 36
+"""Turns about a continuous axis of symmetry that are looked through."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rival:
@@ -24,6 +27,8 @@ class Rival:
     """Where it is from the pose that is followed, shape (4, 4)."""
     lead: float
     """By how much its score of the estimator's selection was better of late, below 0 if worse."""
+    apart: float = math.inf
+    """Mean distance [m] of its surface from that of the pose that is followed, as far as counts."""
 
 
 def rivals_of(
@@ -57,10 +62,18 @@ def rivals_of(
         lead = of_it - score[itself]
         if lead <= -config.most_behind or len(rivals) == config.most:
             continue
-        if _apart(taken, there, obj, config).min() > config.apart:
+        distances = _apart(taken, there, obj, config)
+        if distances.min() > config.apart:
             taken.append(there)
-            rivals.append(Rival(back @ there, lead))
+            rivals.append(Rival(back @ _turned_to(T, there, obj), lead, float(distances[0])))
     return tuple(rivals)
+
+
+def _turned_to(T: Array, there: Array, obj: PackedObject) -> Array:
+    """Of the poses that look the same as one, the one that is turned the least from `T`."""
+    alike = there @ obj.model.symmetry.representatives(SPINS)
+    cosines = np.einsum("ij,nij->n", T[:3, :3], alike[:, :3, :3])
+    return np.asarray(alike[cosines.argmax()])
 
 
 def _apart(poses: list[Array], T: Array, obj: PackedObject, config: RivalConfig) -> Array:
@@ -70,8 +83,12 @@ def _apart(poses: list[Array], T: Array, obj: PackedObject, config: RivalConfig)
 
 
 def share_of_answer(rivals: tuple[Rival, ...], config: RivalConfig) -> float:
-    """Probability that the followed pose is right, if it or one of its rivals is."""
-    return 1 / (1 + sum(math.exp(rival.lead / config.tells) for rival in rivals))
+    """Probability that the followed pose is right, if it or one of its rivals is.
+
+    A rival whose surface is hardly elsewhere does not make it wrong.
+    """
+    elsewhere = (rival for rival in rivals if rival.apart > config.elsewhere)
+    return 1 / (1 + sum(math.exp(rival.lead / config.tells) for rival in elsewhere))
 
 
 def told_apart(
@@ -97,13 +114,11 @@ def told_apart(
     if not rivals:
         return ()
     back, keep = se3.inverse(T), config.memory
-    elsewhere = _apart(list(fitted), T, obj, config) > config.apart
+    distances = _apart(list(fitted), T, obj, config)
     known = (
-        Rival(back @ there, keep * rival.lead + (1 - keep) * float(lead))
-        for rival, there, lead in zip(rivals, fitted, leads, strict=True)
+        Rival(back @ there, keep * rival.lead + (1 - keep) * float(lead), float(distance))
+        for rival, there, lead, distance in zip(rivals, fitted, leads, distances, strict=True)
     )
     return tuple(
-        rival
-        for rival, other in zip(known, elsewhere, strict=True)
-        if other and rival.lead > -config.most_behind
+        rival for rival in known if rival.apart > config.apart and rival.lead > -config.most_behind
     )
