@@ -26,7 +26,7 @@ class Rival:
     T_object_rival: Array
     """Where it is from the pose that is followed, shape (4, 4)."""
     lead: float
-    """By how much its score of the estimator's selection was better of late, below 0 if worse."""
+    """By how much its score was better of late, below 0 if worse; see `RivalConfig.visible`."""
     apart: float = math.inf
     """Mean distance [m] of its surface from that of the pose that is followed, as far as counts."""
 
@@ -79,7 +79,8 @@ def _turned_to(T: Array, there: Array, obj: PackedObject) -> Array:
 def _apart(poses: list[Array], T: Array, obj: PackedObject, config: RivalConfig) -> Array:
     """Mean distances [m], shape (m,), of surfaces at poses from that at `T`, as far as counts."""
     at, there = np.array(poses, dtype=np.float32), T.astype(np.float32)
-    return np.asarray(surface_distances_to(at, there, obj, 2 * config.apart))
+    farthest = 2 * max(config.apart, config.elsewhere)
+    return np.asarray(surface_distances_to(at, there, obj, farthest))
 
 
 def share_of_answer(rivals: tuple[Rival, ...], config: RivalConfig) -> float:
