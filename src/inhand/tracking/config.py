@@ -207,7 +207,8 @@ class RivalConfig(Section):
     tells: float = 0.05
     """A lead of this makes one pose e times as likely as another."""
     elsewhere: float = 0.004
-    """A rival makes the answer unsure if its surface is farther away than this on average [m]."""
+    """A rival makes the answer unsure if its surface is farther away than this on average [m]; less
+    than twice `apart`."""
     unsure: Share = 0.6
     """While the answer's share among its rivals is less than this, others are searched for ..."""
     every: int = 5

@@ -28,7 +28,8 @@ class Rival:
     lead: float
     """By how much its score was better of late, below 0 if worse; see `RivalConfig.visible`."""
     apart: float = math.inf
-    """Mean distance [m] of its surface from that of the pose that is followed, as far as counts."""
+    """Mean distance [m] of its surface from that of the pose that is followed; twice
+    `RivalConfig.apart` where the centres lie farther from each other than that."""
 
 
 def rivals_of(
@@ -77,10 +78,10 @@ def _turned_to(T: Array, there: Array, obj: PackedObject) -> Array:
 
 
 def _apart(poses: list[Array], T: Array, obj: PackedObject, config: RivalConfig) -> Array:
-    """Mean distances [m], shape (m,), of surfaces at poses from that at `T`, as far as counts."""
+    """Mean distances [m], shape (m,), of surfaces at poses from that at `T`; twice `apart` where
+    the centres lie farther from each other than that."""
     at, there = np.array(poses, dtype=np.float32), T.astype(np.float32)
-    farthest = 2 * max(config.apart, config.elsewhere)
-    return np.asarray(surface_distances_to(at, there, obj, farthest))
+    return np.asarray(surface_distances_to(at, there, obj, 2 * config.apart))
 
 
 def share_of_answer(rivals: tuple[Rival, ...], config: RivalConfig) -> float:
