@@ -15,6 +15,9 @@ Prints a line a sequence, then a table of the targets:
 - 95 % ellipsoid: followed answers whose true pose (the nearest of symmetric ones) lies in the
   ellipsoid of their covariance, of the object's centre alone and of all six dimensions, for an
   object that moved in the camera since the last image and for one that did not.
+- sd of the centre: what the covariance says of it, per axis.
+- within 1.96 sd, by direction: of the centre along and across the line of sight, of the turn about
+  and across it. 95 % are expected.
 - jitter: where the true pose stays for 12 images or more, the standard deviation of the object's
   centre, along each axis, and of its rotation, about each axis, past the stretch's first five
   images; root mean square over stretches and axes.
@@ -27,6 +30,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +82,12 @@ class Update:
     apart: dict[int, float]
     """Squared distance from the truth in units of the covariance, by degrees of freedom: of the
     object's centre (3) and of its pose (6); empty without an answer."""
+    sds: NDArray[np.float64]
+    """What the covariance says of the object's centre [m]: sds along and across the line of sight;
+    empty without an answer."""
+    squares: NDArray[np.float64]
+    """Squared errors over variances: of the centre along the line of sight and twice across it, and
+    of the turns about these axes; empty without an answer."""
     joints: list[float]
     """Errors [rad] of the joints whose links show over `JOINT_PIXELS` pixels."""
     cpu: float
@@ -128,7 +138,7 @@ def follow(scene: Path, config: inhand.TrackerConfig | None = None) -> Iterator[
             estimate=e,
             error=adi(tree, e.T_camera_object, instance.T_camera_object) if e.found else np.inf,
             wrist=wrist_distance(e, image.hand.T_camera_hand),
-            apart=distances(e, instance.T_camera_object, obj) if e.found else {},
+            **errors(e, instance.T_camera_object, obj),
             joints=joint_errors(e, image, hand) if e.joint_positions else [],
             cpu=cpu,
             wall=wall,
@@ -136,19 +146,27 @@ def follow(scene: Path, config: inhand.TrackerConfig | None = None) -> Iterator[
         before = instance.T_camera_object
 
 
-def distances(
+def errors(
     e: inhand.PoseEstimate, truth: NDArray[np.float64], obj: inhand.ObjectModel
-) -> dict[int, float]:
-    """`Update.apart` of an answer with the object's true pose, shape (4, 4)."""
+) -> dict[str, Any]:
+    """`apart`, `sds` and `squares` of an `Update` with the object's true pose, shape (4, 4)."""
+    if not e.found:
+        return {"apart": {}, "sds": np.empty(0), "squares": np.empty(0)}
     # From the frame's origin, of which the covariance speaks, to the object's centre.
     covariance = about_origin(e.covariance, e.T_camera_object, -obj.centre)
     equal = truth @ obj.symmetry.representatives(SPINS)
     twists = np.stack([twist_between(e.T_camera_object, T, obj.centre) for T in equal])
     squared = np.einsum("ni,ij,nj->n", twists, np.linalg.inv(covariance), twists)
-    place = twists[squared.argmin(), 3:]
+    twist = twists[squared.argmin()]
+    turn, place = covariance[:3, :3], covariance[3:, 3:]
+    sight = transform(e.T_camera_object, obj.centre[None])[0]
+    axes = np.linalg.svd(sight[None])[2].T  # the first is the line of sight
+    variances, turned = (np.diag(axes.T @ block @ axes) for block in (place, turn))
+    moved, turns = (axes.T @ twist[3:]) ** 2 / variances, (axes.T @ twist[:3]) ** 2 / turned
     return {
-        3: float(place @ np.linalg.solve(covariance[3:, 3:], place)),
-        6: float(squared.min()),
+        "apart": {3: float(twist[3:] @ np.linalg.solve(place, twist[3:])), 6: float(squared.min())},
+        "sds": np.sqrt([variances[0], variances[1:].mean()]),
+        "squares": np.concatenate([moved, turns]),
     }
 
 
@@ -271,6 +289,8 @@ def table(
         ("joints in view: median", f"{np.degrees(np.median(joints)):.2f} degrees", ""),
         ("truth in the 95 % ellipsoid, moving: centre, pose", _ellipsoid(moving), "90 to 98 %"),
         ("still: centre, pose", _ellipsoid(still_ones), "90 to 98 %"),
+        ("sd of the centre, median: along, across the line of sight", _sds(followed), ""),
+        ("within 1.96 sd, moving: along, across; turn about, across", _within(moving), "95 %"),
         ("images with under 2 % seen: answered, wrongly", _hidden(hidden), ""),
         ("undetected losses: number, longest", f"{len(fooled)}, {max(fooled, default=0)}", "3"),
         ("recoveries within 2 images", _share([n <= 2 for n in recovered]), "all"),
@@ -293,6 +313,17 @@ def _share(right: list[bool]) -> str:
 def _ellipsoid(updates: list[Update]) -> str:
     shares = [np.mean([u.apart[n] < ELLIPSOID[n] for u in updates] or [np.nan]) for n in (3, 6)]
     return f"{shares[0]:.1%}, {shares[1]:.1%} of {len(updates)}"
+
+
+def _sds(updates: list[Update]) -> str:
+    along, across = 1000 * np.median([u.sds for u in updates] or np.full((1, 2), np.nan), axis=0)
+    return f"{along:.2f}, {across:.2f} mm"
+
+
+def _within(updates: list[Update]) -> str:
+    inside = np.mean([u.squares < 1.96**2 for u in updates] or np.full((1, 6), np.nan), axis=0)
+    along, across, about, tilt = inside[0], inside[1:3].mean(), inside[3], inside[4:].mean()
+    return f"{along:.1%}, {across:.1%}; {about:.1%}, {tilt:.1%}"
 
 
 def _hidden(updates: list[Update]) -> str:

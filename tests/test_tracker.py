@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from inhand import Camera, InputError, ObjectModel, PoseEstimate, PoseTracker, TrackerConfig
+from inhand.estimate import Candidate
 from inhand.evaluation.metrics import adi, sample_model
 from inhand.geometry import se3
 from inhand.geometry.se3 import rotation_angle, transform
@@ -18,6 +19,7 @@ from inhand.synth.grasp import Grasp
 from inhand.synth.motion import MotionProtocol
 from inhand.synth.scene import NOISY, OBJECT, Scene, SceneMaker, with_errors
 from inhand.synth.sequence import Sequence, SequenceMaker
+from inhand.tracking.config import RivalConfig
 
 CAMERA = Camera(fx=400, fy=400, cx=207.5, cy=155.5, width=416, height=312)
 PROTOCOL = replace(NOISY, distance=(0.4, 0.5), visible=(0.6, 1.0), backdrop=(0.2, 0.4))
@@ -309,13 +311,40 @@ def test_a_place_is_taken_when_two_searches_agree_on_it(
 def test_a_first_answer_that_is_not_sure_needs_a_second(
     moving: Film, followed: list[PoseEstimate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Until then it is what the estimator says, with less confidence."""
     tracker = moving.tracker()
-    unsure = [replace(e, confidence=0.7) for e in followed]
-    monkeypatch.setattr(tracker.estimator, "estimate", lambda *_: unsure.pop(0))
-    first = moving.show(tracker, 0)
-    assert not first.found
-    assert "second" in first.reason
-    assert moving.show(tracker, 1).found
+    searches = [replace(e, confidence=c) for e, c in zip(followed, (0.2, 0.7, 0.7), strict=False)]
+    monkeypatch.setattr(tracker.estimator, "estimate", lambda *_: searches.pop(0))
+    for i, sure in enumerate((0.2, 0.7)):
+        e = moving.show(tracker, i)
+        np.testing.assert_array_equal(e.T_camera_object, followed[i].T_camera_object)
+        assert e.confidence == pytest.approx(0.5 * sure)
+        assert e.covariance is not None
+        assert tracker.lost
+    assert moving.show(tracker, 2).confidence == 0.7
+    assert not tracker.lost
+
+
+def test_others_are_searched_for_while_the_pose_is_unsure(
+    still: Film, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracker = still.tracker(TrackerConfig(rivals=RivalConfig(every=1)))
+    answer = still.tracker().estimator.estimate(
+        still.scenes[0].depth, CAMERA, still.scenes[0].T_camera_hand_given
+    )
+    T = answer.T_camera_object
+    assert T is not None
+    shifted = T @ se3.exp(np.array([0.0, 0.0, 0.0, 0.006, 0.0, 0.0]))
+    alike = tuple(Candidate(pose, {"score": 1.5}) for pose in (T, shifted))
+    with monkeypatch.context() as patch:
+        doubtful = replace(answer, candidates=alike, confidence=0.97)
+        patch.setattr(tracker.estimator, "estimate", lambda *_: doubtful)
+        still.show(tracker, 0)
+    answers = [still.show(tracker, i) for i in range(1, 12)]
+    assert all(still.error(e, i) < 0.003 for i, e in enumerate(answers, start=1))
+    looked = ["rivals" in e.timings for e in answers]
+    assert looked[0]
+    assert not looked[-1], "the images have told them apart"
 
 
 def test_a_hidden_finger_stays_where_it_was(moving: Film) -> None:

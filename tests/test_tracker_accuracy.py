@@ -1,4 +1,4 @@
-"""Probability that a pose is right: against samples of poses, and of objects with symmetries."""
+"""How well a pose is known: against samples of poses, and of objects with symmetries."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.special import erf
 
 from inhand.geometry.se3 import transform
 from inhand.synth.demo import builtin_object
-from inhand.tracking.accuracy import surface_form, surface_within
+from inhand.tracking.accuracy import sensor_covariance, surface_form, surface_within
 from inhand.tracking.gaussian import moved
 
 SMALL = np.diag([0.02] * 3 + [0.001] * 3) ** 2
@@ -51,3 +51,15 @@ def test_the_less_is_known_the_less_likely() -> None:
     assert chances == sorted(chances, reverse=True)
     assert chances[0] > 0.999
     assert chances[-1] < 0.01
+
+
+def test_a_sensor_is_off_along_the_line_of_sight_and_across_it() -> None:
+    T, centre = np.eye(4), np.array([0.1, -0.2, 0.3])
+    T[:3, 3] = [0.2, 0.2, 0.1]
+    covariance = sensor_covariance(T, centre, 0.003, 0.001)
+    sight = np.array([0.3, 0.0, 0.4]) / 0.5
+    assert sight @ covariance[3:, 3:] @ sight == pytest.approx(0.003**2)
+    for across in ([0.0, 1.0, 0.0], [0.8, 0.0, -0.6]):
+        np.testing.assert_allclose(covariance[3:, 3:] @ across, 0.001**2 * np.array(across))
+    assert not covariance[:3].any()
+    assert not covariance[:, :3].any()

@@ -1,4 +1,4 @@
-"""How likely a pose is right that is known as well as its covariance says."""
+"""How well a pose is known, and how likely it is right."""
 
 import numpy as np
 from scipy.special import gammainc
@@ -33,3 +33,18 @@ def surface_within(covariance: Array, form: Array, distance: float) -> float:
     product = form @ covariance
     mean, variance = np.trace(product), 2 * np.trace(product @ product)
     return float(gammainc(mean**2 / variance, distance**2 * mean / variance))
+
+
+def sensor_covariance(T: Array, centre: Array, along: float, across: float) -> Array:
+    """Covariance (6, 6) of a pose's twist by what a sensor is off by everywhere.
+
+    Args:
+        T: the pose, camera frame, shape (4, 4).
+        centre: the object's centre, object frame [m], shape (3,).
+        along, across: sds along and across the line of sight [m].
+    """
+    sight = T[:3, :3] @ centre + T[:3, 3]
+    sight /= np.linalg.norm(sight)
+    covariance = np.zeros((6, 6))
+    covariance[3:, 3:] = across**2 * np.eye(3) + (along**2 - across**2) * np.outer(sight, sight)
+    return covariance

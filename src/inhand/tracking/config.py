@@ -123,9 +123,13 @@ class ObjectTrackConfig(Section):
     """Sd of how it turns [rad/sqrt(s)]."""
     lever: float = 0.03
     """Motion that counts as one radian of turning there [m/rad]."""
-    lasting: NonNegative = 0.8
+    lasting: NonNegative = 0.9
     """Sd of the errors that are the same in all images, in units of those that are not; see
     `Track.lasting`."""
+    sensor_along: NonNegative = 0.0007
+    """Sd of what the sensor is off by everywhere along the line of sight [m] ..."""
+    sensor_across: NonNegative = 0.0004
+    """... and across it."""
     memory: Share = 0.8
     """Weight of earlier images in the recent motion."""
     start_lead: NonNegative = 0.02
@@ -175,6 +179,8 @@ class LossConfig(Section):
     agrees with where the object was expected or where the last image's search had it."""
     sure: Share = 0.95
     """While there is no track to agree with, one search of this confidence is enough."""
+    unconfirmed: Share = 0.5
+    """Until then, the estimator's answer has its confidence times this."""
     right: float = 0.005
     """A pose is right if the object's surface is off by less than this, root mean square [m]."""
     same: float = 0.004
@@ -185,18 +191,28 @@ class LossConfig(Section):
 class RivalConfig(Section):
     """Other poses that a search found likely; see `tracking.rivals`."""
 
-    most: int = 3
+    most: int = 5
     """Of these, so many at most are followed."""
     most_behind: NonNegative = 0.2
     """A pose whose score is behind by more is none."""
-    apart: float = 0.004
+    apart: float = 0.0025
     """Poses whose surfaces are nearer than this on average are one [m]."""
+    visible: NonNegative = 2.0
+    """Between rivals, what the camera sees of a pose counts this many times what segment it
+    explains: the segment may hold points of the hand."""
     memory: Share = 0.7
     """Weight of earlier images in how far a rival leads."""
     overtakes: NonNegative = 0.03
     """A rival that leads by more takes the answer's place."""
     tells: float = 0.05
     """A lead of this makes one pose e times as likely as another."""
+    elsewhere: float = 0.004
+    """A rival makes the answer unsure if its surface is farther away than this on average [m]; less
+    than twice `apart`."""
+    unsure: Share = 0.6
+    """While the answer's share among its rivals is less than this, others are searched for ..."""
+    every: int = 5
+    """... in one of so many images."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from inhand.geometry import se3
 from inhand.kernels.launch import launch
 from inhand.kernels.normal_equations import Matrix6, Vector6
 from inhand.packed import PackedHand, PackedObject, device_poses
-from inhand.stages.evidence import Evidence, score_with_contact
+from inhand.stages.evidence import Evidence, agreement, contact_penalty
 from inhand.stages.observation import Observation
 from inhand.stages.refinement import fit_to_field
 from inhand.stages.results import HandState, Segment
@@ -123,10 +123,11 @@ def follow_object(
     fitted = fit_to_field(
         evidence, obj, c.image_weight, starts.astype(np.float32), c.points, c.iterations, widths
     ).astype(np.float64)
-    score = score_with_contact(evidence, obj, fitted, config.estimator.selection)
+    score, merit = _scores(evidence, obj, fitted, config)
     best = int(np.argmax(score[:2] + [c.start_lead, 0.0]))
     T = fitted[best]
-    left = told_apart(track.rivals, T, fitted[2:], score[2:] - score[best], config.rivals)
+    leads = merit[2:] - merit[best]
+    left = told_apart(track.rivals, T, fitted[2:], leads, obj, config.rivals)
     ahead = max(left, key=lambda rival: rival.lead, default=None)
     if ahead is not None and ahead.lead > config.rivals.overtakes:
         return follow_object(evidence, obj, _overtaken(track, T, ahead, left, config), config)
@@ -153,12 +154,23 @@ def follow_object(
     )
 
 
+def _scores(
+    evidence: Evidence, obj: PackedObject, T: Array, config: TrackerConfig
+) -> tuple[Array, Array]:
+    """Scores, shape (m,), of poses (m, 4, 4): the estimator's, and what tells rivals apart."""
+    samples, poses = config.estimator.selection, device_poses(T, obj.device)
+    visible, explained = agreement(evidence, obj, poses, samples).astype(np.float64).T
+    rest = explained - contact_penalty(evidence, obj, poses, samples.contact_points)
+    return visible + rest, config.rivals.visible * visible + rest
+
+
 def _overtaken(
     track: Track, T: Array, ahead: Rival, rivals: tuple[Rival, ...], config: TrackerConfig
 ) -> Track:
     """The track with a rival in the place of the pose T, which is a rival from now on."""
     there = se3.inverse(ahead.T_object_rival)
-    behind = [Rival(np.eye(4), 0.0), *(rival for rival in rivals if rival is not ahead)]
+    before = Rival(np.eye(4), 0.0, ahead.apart)
+    behind = [before, *(rival for rival in rivals if rival is not ahead)]
     start = start_covariance(config)
     return replace(
         track,
@@ -166,7 +178,10 @@ def _overtaken(
         object_covariance=start,
         lasting=config.start.lasting * np.sqrt(start),
         motion=np.zeros(6),
-        rivals=tuple(Rival(there @ r.T_object_rival, r.lead - ahead.lead) for r in behind),
+        rivals=tuple(
+            replace(r, T_object_rival=there @ r.T_object_rival, lead=r.lead - ahead.lead)
+            for r in behind
+        ),
     )
 
 

@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 from inhand.camera import Camera
 from inhand.checks import finite_number
 from inhand.errors import InputError, NoAnswer
-from inhand.estimate import Candidate, PoseEstimate
+from inhand.estimate import PoseEstimate
 from inhand.estimator import Clock, PoseEstimator, check_depth, check_wrist
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
-from inhand.tracking.accuracy import surface_form, surface_within
+from inhand.tracking.answer import Answers
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.finger_search import find_lost_fingers
-from inhand.tracking.gaussian import Array, about_origin, carried
+from inhand.tracking.gaussian import Array
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
@@ -55,7 +55,7 @@ class PoseTracker:
             raise InputError(f"config must be an inhand.TrackerConfig, got {config!r:.80}")
         self.estimator = PoseEstimator(hand, obj, self.config.estimator, device)
         self._hand, self._object = self.estimator.hand, self.estimator.object
-        self._shape = surface_form(self._object.model)
+        self._answers = Answers(self._hand.hand, self._object.model, self.config)
         self.reset()
 
     def reset(self) -> None:
@@ -94,6 +94,10 @@ class PoseTracker:
             self._track = predicted(
                 self._track, given, seconds, self._lost, self._hand.hand, self.config
             )
+            if self._unsure():
+                self._track = clock.time(
+                    "rivals", self._with_more_rivals, self._track, image, camera, given
+                )
             answer = self._follow(image, camera, self._track, clock)
             if answer.found:
                 return answer
@@ -145,7 +149,7 @@ class PoseTracker:
         self._lost, self._sighting = False, None
         followed = found.kept_in(track, confidence, config)
         self._track = with_answer(followed, self._object.model.centre, hand.hand.reach[1], config)
-        return self._answer(found.score, clock)
+        return self._answers.followed(self._track, found.score, clock.seconds)
 
     def _follow_object(
         self, observation: Observation, state: HandState, track: Track
@@ -159,10 +163,7 @@ class PoseTracker:
         self, image: NDArray[np.float32], camera: Camera, given: Array, clock: Clock
     ) -> PoseEstimate:
         """The estimator's answer; if it is sure, the track goes on from there."""
-        # Every search draws anew: what one seed does not find, the next may.
-        seed = int(self._rng.integers(2**31))
-        self.estimator.config = replace(self.config.estimator, seed=seed)
-        estimate = self.estimator.estimate(image, camera, given)
+        estimate = self._estimate(image, camera, given)
         clock.seconds.update(estimate.timings)
         before, self._sighting = self._sighting, None
         if not estimate.found:
@@ -171,17 +172,61 @@ class PoseTracker:
             return self._no_answer(estimate.reason, clock) if self._track else unseen
         if estimate.confidence < self.config.loss.accept:
             reason = f"no pose of the object is sure (the best: {estimate.confidence:.2f})"
-            return self._no_answer(reason, clock)
+            return self._unconfirmed(estimate, given, reason, clock)
         if not self._stands_beside_the_hand(estimate, image, camera):
             return self._no_answer("the search takes a part of the hand for the object", clock)
         self._sighting = Sighting.of(estimate)
         if not self._confirmed(estimate, before):
-            return self._no_answer("no second image agrees yet on where the object is", clock)
+            reason = "no second image agrees yet on where the object is"
+            return self._unconfirmed(estimate, given, reason, clock)
         self._lost = False
-        rivals = rivals_of(estimate, self._object, self.config.rivals)
-        self._track = replace(self._resumed(estimate, given), rivals=rivals)
-        T, covariance = self._track.answer, self._covariance()
-        return replace(estimate, T_camera_object=T, timings=clock.seconds, covariance=covariance)
+        self._track = track = self._resumed(estimate, given)
+        return replace(
+            estimate,
+            T_camera_object=track.answer,
+            timings=clock.seconds,
+            covariance=self._answers.covariance(track),
+        )
+
+    def _unconfirmed(
+        self, estimate: PoseEstimate, given: Array, reason: str, clock: Clock
+    ) -> PoseEstimate:
+        """What is answered when a search is not believed.
+
+        While there is no track, nobody knows better than the estimator: its answer stands, but with
+        less confidence.
+        """
+        if self._track is not None:
+            return self._no_answer(reason, clock)
+        return replace(
+            estimate,
+            confidence=self.config.loss.unconfirmed * estimate.confidence,
+            timings=clock.seconds,
+            covariance=self._answers.covariance(
+                begun(estimate, given, self._hand.hand, self.config)
+            ),
+        )
+
+    def _estimate(self, image: NDArray[np.float32], camera: Camera, given: Array) -> PoseEstimate:
+        """What the estimator makes of an image: what one seed does not find, the next may."""
+        seed = int(self._rng.integers(2**31))
+        self.estimator.config = replace(self.config.estimator, seed=seed)
+        return self.estimator.estimate(image, camera, given)
+
+    def _unsure(self) -> bool:
+        """Whether it is time to look what else the object's pose may be."""
+        c, track = self.config.rivals, self._track
+        if self._lost or track is None or self._images % c.every:
+            return False
+        return share_of_answer(track.rivals, c) < c.unsure
+
+    def _with_more_rivals(
+        self, track: Track, image: NDArray[np.float32], camera: Camera, given: Array
+    ) -> Track:
+        """The track with what a search finds beside its pose."""
+        estimate, known = self._estimate(image, camera, given), track.rivals
+        T, c = track.T_camera_object, self.config.rivals
+        return replace(track, rivals=rivals_of(estimate, T, self._object, c, known))
 
     def _stands_beside_the_hand(
         self, estimate: PoseEstimate, image: NDArray[np.float32], camera: Camera
@@ -210,48 +255,13 @@ class PoseTracker:
 
     def _resumed(self, estimate: PoseEstimate, given: Array) -> Track:
         """The track after a search."""
-        if self._track is None:
-            return begun(estimate, given, self._hand.hand, self.config)
-        return resumed(self._track, estimate, given, self._hand, self._object, self.config)
-
-    def _answer(self, score: float, clock: Clock) -> PoseEstimate:
-        track = self._track
-        assert track is not None
-        return PoseEstimate(
-            found=True,
-            reason="",
-            T_camera_object=track.answer,
-            joint_positions=self._hand.hand.joint_dict(track.joint_vector),
-            T_camera_hand=track.T_camera_hand,
-            confidence=track.confidence
-            * share_of_answer(track.rivals, self.config.rivals)
-            * self._accuracy(track),
-            candidates=(Candidate(track.answer, {"score": score}),),
-            timings=clock.seconds,
-            covariance=self._covariance(),
-        )
-
-    def _accuracy(self, track: Track) -> float:
-        """Probability that the pose is right, if it is not another altogether."""
-        R = track.T_camera_object[:3, :3]
-        covariance = carried(track.whole_covariance, R.T)
-        return surface_within(covariance, self._shape, self.config.loss.right)
+        before, hand, obj, config = self._track, self._hand, self._object, self.config
+        if before is None:
+            track = begun(estimate, given, hand.hand, config)
+        else:
+            track = resumed(before, estimate, given, hand, obj, config)
+        first = estimate.candidates[0].T_camera_object
+        return replace(track, rivals=rivals_of(estimate, first, obj, config.rivals))
 
     def _no_answer(self, reason: str, clock: Clock) -> PoseEstimate:
-        track = self._track
-        return PoseEstimate(
-            found=False,
-            reason=reason,
-            T_camera_object=None,
-            joint_positions=self._hand.hand.joint_dict(track.joint_vector) if track else {},
-            T_camera_hand=track.T_camera_hand if track else None,
-            confidence=0.0,
-            timings=clock.seconds,
-        )
-
-    def _covariance(self) -> Array:
-        """Covariance of the object's pose as `PoseEstimate` has it, (6, 6)."""
-        track = self._track
-        assert track is not None
-        centre = self._object.model.centre
-        return about_origin(track.whole_covariance, track.answer, centre)
+        return self._answers.none(self._track, reason, clock.seconds)
