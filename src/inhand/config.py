@@ -132,7 +132,7 @@ class HandStateConfig(Section):
     """Metres of a prismatic joint that count as one radian in angles and spreads [m/rad]."""
     coarse_points: int = 64
     """Surface samples of a link during the search."""
-    fine_points: int = 120
+    fine_points: int = 200
     """Surface samples of a link around an alternative."""
     early_points: int = 16
     """After so many samples of a link a hopeless configuration is given up."""

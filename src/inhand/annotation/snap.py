@@ -60,12 +60,14 @@ class SnapConfig(Section):
     """Best poses that go into the fine iterations."""
     fine_points: int = 2000
     """Segment points, and model points, in the fine iterations."""
-    fine_iterations: int = 15
+    fine_iterations: int = 30
     """Fine iterations."""
     least_score: Real = 0.5
     """A pose that scores less at the end is none: the object is not there."""
     hand_starts: int = 24
     """Hand states that are refined: the given one and others around it."""
+    hand_iterations: int = 8
+    """Iterations of all of them, and of the best once more."""
     spread_joint: float = 0.15
     """Standard deviation of their joints around the given ones [rad, or as `slide_scale`]."""
     idle_way: float = 0.1
@@ -152,9 +154,9 @@ class Snapper:
         offset[0] = 0.0
         starts = np.clip(given + offset, hand.hand.lower, hand.hand.upper)
         wrists = np.repeat(label.T_camera_hand[None], len(starts), 0)
-        widths = np.geomspace(c.first_width, c.middle_width, c.iterations)
+        widths = np.geomspace(c.first_width, c.middle_width, s.hand_iterations)
         q, T = search.best_combination(*fit.refine(starts, wrists, widths, c.start_stride))
-        widths = np.geomspace(c.middle_width, c.last_width, c.last_iterations)
+        widths = np.geomspace(c.middle_width, c.last_width, s.hand_iterations)
         q, T = fit.refine(q[None], T[None], widths)
         T_camera_link = hand.link_poses(q, T)[0]
         if hand_support(observation, hand, T_camera_link, c).whole < c.min_hand_support:

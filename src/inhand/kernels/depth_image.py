@@ -36,7 +36,7 @@ def fit_planes(
     if z <= 0.0 or z > far:
         return
     radius = wp.clamp(int(window * camera.fx / z + 0.5), 2, 6)
-    step = wp.max(1, radius // 3)
+    step = wp.max(1, (radius + 2) // 3)
     tolerance = gate * window
     # Of the vectors (x, y, inverse depth) from the pixel: number, sum and second moments.
     n = float(0.0)
