@@ -152,7 +152,7 @@ class HandStateConfig(Section):
     """Penalty of a surface point behind something else."""
     allowed: int = 256
     """Configurations per finger that are kept for placing a hidden finger against the object."""
-    local_samples: int = 16
+    local_samples: int = 32
     """Configurations tried around every alternative before the joint refinement."""
     local_spread: NonNegative = 0.07
     """Standard deviation of these around the alternative [rad]."""
