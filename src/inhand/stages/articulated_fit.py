@@ -118,6 +118,7 @@ class ArticulatedFit:
         problem.widths = on_device(widths, float, device)
         problem.stride = stride
         problem.information = stride * self.point_information
+        # Copies: the kernels move them.
         state.q = wp.array(q, dtype=wp.float64, device=device)
         state.T_camera_hand = wp.array(T_camera_hand, dtype=wp.mat44d, device=device)
         state.iteration = wp.zeros(starts, dtype=int, device=device)

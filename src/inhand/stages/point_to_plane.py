@@ -39,6 +39,7 @@ def align_model(
     model.used = wp.ones(1, dtype=int, device=device)
     model.centre = wp.vec3(*obj.model.centre)
     model.radius = bounding_sphere(obj.model.mesh)[3]
+    # A copy: the kernel moves it.
     aligned = wp.clone(device_poses(poses.T_camera_object, device))
     inputs = [
         model,

@@ -33,6 +33,7 @@ def fit_wrist_icp(observation: Observation, hand: PackedHand, config: WristConfi
     model.used = wp.array(used, dtype=int, device=device)
     model.centre = wp.vec3(*centre)
     model.radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+    # A copy: the kernel moves it.
     pose = wp.clone(device_poses(observation.T_camera_hand, device))
     inputs = [
         model,

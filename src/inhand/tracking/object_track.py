@@ -8,7 +8,7 @@ import warp as wp
 
 from inhand.errors import NoAnswer
 from inhand.geometry import se3
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, on_device
 from inhand.kernels.normal_equations import Matrix6, Vector6
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.evidence import Evidence, agreement, contact_penalty
@@ -81,7 +81,7 @@ def segment_near(
         [observation.cloud_on_device[0], hand.fields]
         + [device_poses(state.T_camera_link, device)]
         + [
-            wp.array(links.astype(np.int32), device=device)
+            on_device(links.astype(np.int32), int, device)
             for links in (state.certain, ~state.certain)
         ]
         + [obj.fields, _mat44(track.T_camera_object), near.near]
