@@ -190,6 +190,20 @@ def test_a_truncated_recording_is_processed_then_said(
     assert "damaged or was never finished" in capsys.readouterr().err
 
 
+def test_the_first_problem_is_said_of_a_recording_that_breaks_off_too(
+    tmp_path: Path,
+    models: list[str],
+    calls: list[Any],
+    source: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = storage_file(source)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
+    args = ["--out", str(tmp_path / "o.jsonl"), "--longest-gap", "0.001"]
+    assert main(["run", str(source), *models, *args]) == 2
+    assert "could not be estimated: image 0: no wrist pose" in capsys.readouterr().err
+
+
 def test_ctrl_c_finishes_all_files(
     interruptible: None,
     tmp_path: Path,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from inhand.hand import Hand
     from inhand.object_model import ObjectModel
     from inhand.streams.config import StreamConfig
-    from inhand.streams.runner import Counts, Estimate, Output, Summary
+    from inhand.streams.runner import Counts, Estimate, Output, Result, Summary
     from inhand.streams.source import Source
 
 
@@ -142,22 +142,33 @@ def _run(args: Run, source: "Source", device: str, console: "Console") -> "Summa
         obj = ObjectModel.from_mesh(args.object, unit=args.unit)
     estimate = _make_estimate(args, hand, obj, device)
     with _page(args, hand, obj, estimate, device, console) as page:
-        outputs = [*_open_outputs(args, source, paths, obj), *page]
+        outputs = [*_open_outputs(args, source, paths, obj), *page, _FirstProblems(console)]
         try:
             with _progress(source, console) as report:
-                summary = runner.run(
+                return runner.run(
                     source, estimate, outputs, rate=args.rate, limit=args.limit, report=report
                 )
-            if problem := summary.first_problem:
-                message = f"The first that could not be estimated: {problem}"
-                console.print(message, highlight=False, markup=False)
-            if (missed := summary.first_not_found) and not summary.counts.found:
-                console.print(
-                    f"The first without an answer: {missed}", highlight=False, markup=False
-                )
-            return summary
         finally:
             console.print(f"Results: {', '.join(map(str, paths))}", highlight=False, markup=False)
+
+
+@dataclass(frozen=True)
+class _FirstProblems:
+    """Says which image was the first that could not be estimated, however the run ends."""
+
+    console: "Console"
+
+    def write(self, result: "Result") -> None:
+        pass
+
+    def finish(self, summary: "Summary") -> None:
+        lines = []
+        if summary.first_problem:
+            lines.append(f"The first that could not be estimated: {summary.first_problem}")
+        if summary.first_not_found and not summary.counts.found:
+            lines.append(f"The first without an answer: {summary.first_not_found}")
+        for line in lines:
+            self.console.print(line, highlight=False, markup=False)
 
 
 def _make_estimate(args: Run, hand: "Hand", obj: "ObjectModel", device: str) -> "Estimate":
