@@ -7,7 +7,7 @@ from scipy.ndimage import correlate
 
 from inhand.camera import Camera
 from inhand.kernels.depth import pinhole
-from inhand.kernels.depth_image import fit_planes, missing_in_rows, missing_share
+from inhand.kernels.depth_image import RowSums, fit_planes, missing_in_rows, missing_share, sum_rows
 from inhand.kernels.launch import launch
 
 CAMERA = Camera(fx=420, fy=380, cx=50.3, cy=20.8, width=83, height=57)
@@ -21,8 +21,10 @@ def fitted(
     smooth = wp.empty(depth.size, dtype=float, device="cpu")
     normals = wp.empty(depth.size, dtype=wp.vec3, device="cpu")
     flat = wp.array(depth.reshape(-1), dtype=float, device="cpu")
-    inputs = [pinhole(CAMERA), flat, window, gate, far, smooth, normals]
-    launch(fit_planes, depth.size, inputs, "cpu", work_per_item=25)
+    sums = wp.empty(depth.size, dtype=RowSums, device="cpu")
+    inputs = [pinhole(CAMERA), flat, window, gate, far, sums]
+    launch(sum_rows, depth.size, inputs, "cpu")
+    launch(fit_planes, depth.size, [*inputs, smooth, normals], "cpu", work_per_item=25)
     return smooth.numpy().reshape(depth.shape), normals.numpy().reshape(*depth.shape, 3)
 
 
