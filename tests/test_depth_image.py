@@ -92,6 +92,28 @@ def test_surfaces_do_not_blend_over_a_depth_edge() -> None:
     assert angles(normals, -np.where(left[:, None], near_normal, far_normal)).max() < 0.5
 
 
+def test_every_reading_of_the_window_counts_and_no_other() -> None:
+    """Two noisy walls with holes, one before the other, that end along a diagonal."""
+    rng = np.random.default_rng(0)
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    near = u + v < 65
+    depth = np.where(near, 0.3, 0.5) + rng.normal(0, 0.001, near.shape)
+    depth[rng.random(near.shape) < 0.3] = 0
+    smooth, normals = fitted(depth)
+    w = 1 / np.where(depth > 0, depth, 1)
+    checked = [i for i in rng.permutation(near.size) if depth.flat[i] > 0][:400]
+    for v0, u0 in np.column_stack(np.unravel_index(checked, near.shape)):
+        radius = 6 if near[v0, u0] else 4
+        part = (abs(u - u0) <= radius) & (abs(v - v0) <= radius)
+        part &= (depth > 0) & (near == near[v0, u0])
+        x, y = u[part] - u0, v[part] - v0
+        a, b, c = np.linalg.lstsq(np.column_stack([x, y, np.ones(len(x))]), w[part])[0]
+        at_axis = c + a * (CAMERA.cx - u0) + b * (CAMERA.cy - v0)
+        normal = -np.array([a * CAMERA.fx, b * CAMERA.fy, at_axis])
+        assert abs(smooth[v0, u0] - 1 / c) < 1e-5
+        assert angles(normals[v0, u0], normal / np.linalg.norm(normal)) < 0.2
+
+
 def test_too_few_neighbours_are_no_surface() -> None:
     depth = np.zeros((CAMERA.height, CAMERA.width))
     depth[10, 10] = 0.4  # alone
