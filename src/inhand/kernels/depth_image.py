@@ -101,7 +101,7 @@ def fit_planes(
     determinant = xx * yy - xy * xy
     a, b = (xw * yy - yw * xy) / determinant, (yw * xx - xw * xy) / determinant
     centre = w - a * x - b * y
-    if n < 6.0 or determinant < wp.max(0.05 * xx * yy, 1.0e-3) or centre <= 0.0:
+    if n < 4.0 or determinant < wp.max(0.05 * xx * yy, 1.0e-3) or centre <= 0.0:
         return
     smooth[i] = 1.0 / centre
     # 1/z = a (u - u0) + b (v - v0) + centre = n . ray / D for the plane n . X = D.
