@@ -14,6 +14,7 @@ from inhand.geometry.se3 import rotation_angle, transform
 from inhand.packed import PackedPart
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.hand_visibility import HandVisibility
+from inhand.tracking.accuracy import surface_form
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.finger_search import find_lost_fingers
 from inhand.tracking.gaussian import moved, twist_between
@@ -57,14 +58,14 @@ def track_of(held: HeldObject, covariance: np.ndarray) -> Track:
     )
 
 
-def follow_found(held: HeldObject, track: Track) -> FollowedObject:
+def follow_found(held: HeldObject, track: Track, config: TrackerConfig = CONFIG) -> FollowedObject:
     """The object, followed with the true hand."""
     args = (held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
     segment = segment_near(*args)
     evidence = gather_evidence(
         held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
     )
-    return follow_object(evidence, held.obj, track, CONFIG)
+    return follow_object(evidence, held.obj, surface_form(held.obj.model), track, config)
 
 
 def follow(held: HeldObject, track: Track) -> np.ndarray:
@@ -93,9 +94,29 @@ def test_a_pose_that_is_well_known_stays(held: HeldObject) -> None:
     assert np.linalg.norm(twist_between(expected, follow(held, track), centre)[3:]) < 0.0005
 
 
+def test_a_pose_that_slid_unseen_is_found_by_what_should_be_seen() -> None:
+    """Faces along which a cuboid slid do not pull it back; that an end sticks out tells."""
+    held = held_object("cuboid")
+    centre, extents = held.obj.model.centre, np.ptp(held.obj.model.mesh.vertices, axis=0)
+    axis = held.T_camera_object[:3, np.argmax(extents)]
+    slid = np.concatenate([np.zeros(3), axis])
+    expected = moved(held.T_camera_object, 0.008 * slid, centre)
+    track = replace(
+        track_of(held, SURE + 0.006**2 * np.outer(slid, slid)), T_camera_object=expected
+    )
+
+    def distance(config: TrackerConfig) -> float:
+        T = follow_found(held, track, config).T_camera_object
+        return abs(float(twist_between(held.T_camera_object, T, centre)[3:] @ axis))
+
+    never = replace(CONFIG, object=replace(CONFIG.object, aside_lead=100.0))
+    assert distance(never) > 0.005
+    assert distance(CONFIG) < 0.0015
+
+
 def test_the_same_image_again_and_again_does_not_make_sure(held: HeldObject) -> None:
     """Errors that change average out; the others stay, as large as one image's, scaled."""
-    track = track_of(held, UNSURE)
+    track, form = track_of(held, UNSURE), surface_form(held.obj.model)
     segment = segment_near(held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
     evidence = gather_evidence(
         held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
@@ -103,7 +124,7 @@ def test_the_same_image_again_and_again_does_not_make_sure(held: HeldObject) -> 
     system, _ = _system(evidence, held.obj, held.T_camera_object, CONFIG)
     of_one = np.linalg.inv(CONFIG.object.point_information * system)
     for _ in range(30):
-        found = follow_object(evidence, held.obj, track, CONFIG)
+        found = follow_object(evidence, held.obj, form, track, CONFIG)
         track = found.kept_in(track, 0.9, CONFIG)
     places = np.s_[3:, 3:]
     assert np.trace(track.object_covariance[places]) < 0.1 * np.trace(of_one[places])

@@ -501,9 +501,9 @@ class SecondLookConfig(Section):
     """About so many segment points are held against the fingers."""
     near: float = 0.006
     """A segment point this near to a finger's surface starts to be explained by it [m]."""
-    promising: Share = 0.25
-    """A finger that explains less of the segment, wherever the image allows it, is not refined."""
-    explained: Share = 0.5
+    promising: Share = 0.15
+    """A finger that explains less of the segment, wherever it is, is not refined."""
+    explained: Share = 0.3
     """A finger that explains less of the segment afterwards is no answer."""
     link_explained: Share = 0.1
     """A link that explains more of the segment is relied on."""

@@ -9,6 +9,7 @@ from scipy.stats import qmc
 
 from inhand.config import HandStateConfig
 from inhand.geometry.se3 import Array
+from inhand.hand import Hand
 from inhand.kinematics import PRISMATIC
 from inhand.packed import PackedHand, PackedPart
 from inhand.stages.hand_visibility import HandVisibility
@@ -50,7 +51,7 @@ class FingerSearch:
         """
         fingers, q = self.packed.fingers, self.hand.rest.copy()
         there = self._palm(q, T_camera_hand)
-        found = [self._range(finger) for finger in fingers]
+        found = [configurations(f, self.hand, self.config.samples) for f in fingers]
         scores = [
             self._score(finger, tried, T_camera_hand[None], there, self._coarse)
             for finger, tried in zip(fingers, found, strict=True)
@@ -88,11 +89,6 @@ class FingerSearch:
                 score = self._score(fingers[i], q[:, joints], T_camera_hand, there, self._fine)
             combined[joints] = q[score.argmax(), joints]
         return combined, T
-
-    def _range(self, finger: PackedPart) -> Array:
-        """Configurations (c, k) all over a finger's range."""
-        lower, upper = self.hand.lower[finger.joints], self.hand.upper[finger.joints]
-        return lower + _even_points(len(lower), self.config.samples) * (upper - lower)
 
     def _score(
         self,
@@ -149,6 +145,12 @@ class FingerSearch:
         shown = np.zeros(len(T_camera_link), dtype=bool)
         shown[finger.links] = True
         return self.packed.render(self.camera, T_camera_link, shown, others)
+
+
+def configurations(finger: PackedPart, hand: Hand, count: int) -> Array:
+    """Configurations (c, k) all over a finger's range; c is a power of two up to `count`."""
+    lower, upper = hand.lower[finger.joints], hand.upper[finger.joints]
+    return lower + _even_points(len(lower), count) * (upper - lower)
 
 
 @cache

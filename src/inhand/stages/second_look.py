@@ -10,6 +10,7 @@ from inhand.kernels.hand_fit import explained_weights
 from inhand.kernels.launch import launch, on_device
 from inhand.packed import PackedHand, device_poses
 from inhand.stages.articulated_fit import whole_hand_fit
+from inhand.stages.finger_search import configurations
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment
 from inhand.stages.wrist import wrist_prior
@@ -24,8 +25,9 @@ def hands_in_segment(
 ) -> list[HandState]:
     """Hand states in which one finger explains most of what was taken for the object.
 
-    A finger of which little shows may have been missed, and is then part of the segment. Of the
-    configurations that the image allows, the one that explains most of the segment is refined.
+    A finger of which little shows may have been missed, and is then part of the segment: where most
+    of it has no readings, it scores less than out of sight. The configuration that explains most of
+    the segment is refined.
     """
     look, prior = config.second_look, wrist_prior(observation, config.wrist)
     fit = whole_hand_fit(observation, hand, prior, config.hand_state)
@@ -33,11 +35,12 @@ def hands_in_segment(
         config.hand_state.first_width, config.hand_state.last_width, look.iterations
     )
     found = []
-    for finger, allowed in zip(hand.fingers, hand_state.allowed, strict=False):
+    for finger in hand.fingers:
         if hand_state.certain[finger.links].all():
             continue
-        q = np.repeat(hand_state.joint_vector[None], len(allowed.joints), 0)
-        q[:, finger.joints] = allowed.joints
+        joints = configurations(finger, hand.hand, config.hand_state.samples)
+        q = np.repeat(hand_state.joint_vector[None], len(joints), 0)
+        q[:, finger.joints] = joints
         poses = hand.link_poses(q, hand_state.T_camera_hand[None])
         explained = _explained(poses, finger.links, segment, hand, look)
         best = explained.argmax()

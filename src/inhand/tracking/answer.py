@@ -5,7 +5,7 @@ import numpy as np
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.hand import Hand
 from inhand.object_model import ObjectModel
-from inhand.tracking.accuracy import sensor_covariance, surface_form, surface_within
+from inhand.tracking.accuracy import sensor_covariance, surface_within
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, about_origin, carried
 from inhand.tracking.rivals import share_of_answer
@@ -17,12 +17,12 @@ class Answers:
 
     Args:
         hand, obj: what is tracked.
+        form: the object's `surface_form`, shape (6, 6).
         config: parameters.
     """
 
-    def __init__(self, hand: Hand, obj: ObjectModel, config: TrackerConfig) -> None:
-        self._hand, self._object, self._config = hand, obj, config
-        self._form = surface_form(obj)
+    def __init__(self, hand: Hand, obj: ObjectModel, form: Array, config: TrackerConfig) -> None:
+        self._hand, self._object, self._form, self._config = hand, obj, form, config
 
     def followed(self, track: Track, score: float, timings: dict[str, float]) -> PoseEstimate:
         """The answer where the object was followed, with this score."""

@@ -134,6 +134,13 @@ class ObjectTrackConfig(Section):
     """Weight of earlier images in the recent motion."""
     start_lead: NonNegative = 0.02
     """A start other than the prediction must score better by this."""
+    aside: NonNegative = 1.5
+    """Two more starts are so many sds away, where the surface is known the least ..."""
+    least_aside: NonNegative = 0.0007
+    """... if one sd moves it by more than this, root mean square along its normals [m]."""
+    aside_lead: NonNegative = 0.15
+    """One of these takes the place of the prediction if it is better by more, as rivals are
+    compared: less would let noise move an object that is still."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from inhand.stages.evidence import Evidence, agreement, contact_penalty
 from inhand.stages.observation import Observation
 from inhand.stages.refinement import fit_to_field
 from inhand.stages.results import HandState, Segment
-from inhand.tracking.config import TrackerConfig
+from inhand.tracking.config import ObjectTrackConfig, TrackerConfig
 from inhand.tracking.gaussian import Array, moved, twist_between
 from inhand.tracking.kernels import object_terms, object_weights
 from inhand.tracking.rivals import Rival, told_apart
@@ -102,16 +102,18 @@ def segment_near(
 
 
 def follow_object(
-    evidence: Evidence, obj: PackedObject, track: Track, config: TrackerConfig
+    evidence: Evidence, obj: PackedObject, form: Array, track: Track, config: TrackerConfig
 ) -> FollowedObject:
     """Refine and score two starts; hold the better to the prediction as firmly as that is known.
 
     The object starts where it is expected, and where it would be if it went on as of late. Its
-    rivals are refined beside it; one that has become better is followed in its place.
+    rivals are refined beside it, and poses to either side; one that has become better is followed
+    in its place.
 
     Args:
         evidence: the image.
         obj: the object.
+        form: its `surface_form`, shape (6, 6).
         track: the track as predicted.
         config: parameters.
     """
@@ -119,18 +121,26 @@ def follow_object(
     widths = c.first_width, c.last_width
     expected = track.T_camera_object
     rivals = [expected @ rival.T_object_rival for rival in track.rivals]
-    starts = np.stack([expected, moved(expected, track.motion, centre), *rivals])
+    aside = _poses_aside(track, form, centre, c)
+    starts = np.stack([expected, moved(expected, track.motion, centre), *rivals, *aside])
     fitted = fit_to_field(
         evidence, obj, c.image_weight, starts.astype(np.float32), c.points, c.iterations, widths
     ).astype(np.float64)
     score, merit = _scores(evidence, obj, fitted, config)
     best = int(np.argmax(score[:2] + [c.start_lead, 0.0]))
     T = fitted[best]
-    leads = merit[2:] - merit[best]
-    left = told_apart(track.rivals, T, fitted[2:], leads, obj, config.rivals)
-    ahead = max(left, key=lambda rival: rival.lead, default=None)
-    if ahead is not None and ahead.lead > config.rivals.overtakes:
-        return follow_object(evidence, obj, _overtaken(track, T, ahead, left, config), config)
+    leads, n = merit[2:] - merit[best], len(rivals)
+    left = told_apart(track.rivals, T, fitted[2 : 2 + n], leads[:n], obj, config.rivals)
+    ahead = [rival for rival in left if rival.lead > config.rivals.overtakes]
+    ahead += [
+        Rival(se3.inverse(T) @ there, float(lead))
+        for there, lead in zip(fitted[2 + n :], leads[n:], strict=True)
+        if lead > c.aside_lead
+    ]
+    if ahead:
+        first = max(ahead, key=lambda rival: rival.lead)
+        track = _overtaken(track, T, first, left, config)
+        return follow_object(evidence, obj, form, track, config)
     A, b = _system(evidence, obj, T, config)
     seen = c.point_information * A
     innovation = twist_between(expected, T, centre)
@@ -152,6 +162,23 @@ def follow_object(
         score=float(score[best]),
         rivals=left,
     )
+
+
+def _poses_aside(
+    track: Track, form: Array, centre: Array, config: ObjectTrackConfig
+) -> list[Array]:
+    """Poses to either side of the expected one, where the track lets its surface move the most.
+
+    An image that hardly determines a direction does not pull the pose back along it either, but
+    its score tells: it counts what the camera would see if the object were there.
+    """
+    R = np.kron(np.eye(2), track.T_camera_object[:3, :3])
+    root = _root(R.T @ track.whole_covariance @ R)
+    variances, axes = np.linalg.eigh(root @ form @ root)
+    if variances[-1] < config.least_aside**2:
+        return []
+    way = config.aside * R @ root @ axes[:, -1]
+    return [moved(track.T_camera_object, twist, centre) for twist in (way, -way)]
 
 
 def _scores(
