@@ -146,7 +146,7 @@ def shares(missing: np.ndarray, radius: int, usual: float = 0.0) -> np.ndarray:
     share = wp.empty(missing.size, dtype=float, device="cpu")
     height, width = missing.shape
     launch(missing_in_rows, height, [depth, width, height, radius, in_rows], "cpu")
-    launch(missing_share, width, [depth, in_rows, width, height, radius, usual, share], "cpu")
+    launch(missing_share, width, [depth, width, height, radius, in_rows, usual, share], "cpu")
     return np.asarray(share.numpy().reshape(missing.shape))
 
 

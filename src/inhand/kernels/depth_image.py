@@ -93,9 +93,8 @@ def fit_planes(
         s += row
         s_y += float(dv) * row
         s_yy += float(dv * dv) * row[0]
-    n = s[0]
-    # Means of x, y and w, and their covariances.
-    x, y, w = s[1] / n, s_y[0] / n, s[3] / n
+    # Number, means of x, y and w, and their covariances.
+    n, x, y, w = s[0], s[1] / s[0], s_y[0] / s[0], s[3] / s[0]
     xx, xy, yy = s[2] / n - x * x, s_y[1] / n - x * y, s_yy / n - y * y
     xw, yw = s[4] / n - x * w, s_y[3] / n - y * w
     determinant = xx * yy - xy * xy
@@ -134,10 +133,10 @@ def missing_in_rows(
 @wp.kernel
 def missing_share(
     depth: wp.array(dtype=float),
-    in_rows: wp.array(dtype=int),
     width: int,
     height: int,
     radius: int,
+    in_rows: wp.array(dtype=int),
     usual: float,
     share: wp.array(dtype=float),
     first: int,

@@ -131,8 +131,7 @@ def observe(
     view.missing = _missing_share(view.camera, view.depth, config.missing_window)
     distance = float((window * inside).sum()) / count
     step = max(1, round(config.point_spacing * roi.fx / distance))
-    every = slice(step // 2, None, step)
-    cloud = _cloud(smooth, view, roi, (centre, radius), (every, every))
+    cloud = _cloud(smooth, view, roi, (centre, radius), (slice(step // 2, None, step),) * 2)
     if len(cloud.points) < config.min_points:
         raise NoAnswer("almost no depth readings lie in the region of the hand")
     return Observation(
@@ -179,12 +178,11 @@ def _missing_share(camera: Any, depth: Any, radius: int) -> Any:
     """
     device = str(depth.device)
     in_rows, share = (wp.empty(len(depth), dtype=kind, device=device) for kind in (int, float))
-    size = [camera.width, camera.height, radius]
-    rows = [depth, *size, in_rows]
+    rows = [depth, camera.width, camera.height, radius, in_rows]
     launch(missing_in_rows, camera.height, rows, device, work_per_item=2 * camera.width)
     around, reading = in_rows.numpy()[::EVERY], depth.numpy()[::EVERY] > 0
     usual = float(np.median(around[reading])) / (2 * radius + 1)
-    columns = [depth, in_rows, *size, usual, share]
+    columns = [*rows, usual, share]
     launch(missing_share, camera.width, columns, device, work_per_item=2 * camera.height)
     return share
 
