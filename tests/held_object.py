@@ -56,12 +56,13 @@ def built_in_object(name: str) -> PackedObject:
 
 
 @cache
-def held_object(name: str) -> HeldObject:
+def held_object(name: str, aside: float = 0.0) -> HeldObject:
+    """The scene; `aside`: how far to the right of its usual place everything is [m]."""
     hand, obj = built_in_hand(), built_in_object(name)
     # The hand's z axis, out of the palm, is up in the image; its y axis points at the camera.
     T_camera_hand = np.eye(4)
     T_camera_hand[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    T_camera_hand[:3, 3] = [0.03, 0.09, 0.5]
+    T_camera_hand[:3, 3] = [0.03 + aside, 0.09, 0.5]
     T_camera_hand = T_camera_hand @ exp(np.array([0.5, -0.3, 0.4, 0, 0, 0]))
     T_hand_object = exp(np.array([0.3, 1.1, -0.4, 0.002, -0.01, 0.15]))
     T_camera_object = T_camera_hand @ T_hand_object

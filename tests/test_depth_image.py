@@ -7,7 +7,7 @@ from scipy.ndimage import correlate
 
 from inhand.camera import Camera
 from inhand.kernels.depth import pinhole
-from inhand.kernels.depth_image import fit_planes, missing_in_rows, missing_share
+from inhand.kernels.depth_image import RowSums, fit_planes, missing_in_rows, missing_share, sum_rows
 from inhand.kernels.launch import launch
 
 CAMERA = Camera(fx=420, fy=380, cx=50.3, cy=20.8, width=83, height=57)
@@ -21,8 +21,10 @@ def fitted(
     smooth = wp.empty(depth.size, dtype=float, device="cpu")
     normals = wp.empty(depth.size, dtype=wp.vec3, device="cpu")
     flat = wp.array(depth.reshape(-1), dtype=float, device="cpu")
-    inputs = [pinhole(CAMERA), flat, window, gate, far, smooth, normals]
-    launch(fit_planes, depth.size, inputs, "cpu", work_per_item=25)
+    sums = wp.empty(depth.size, dtype=RowSums, device="cpu")
+    inputs = [pinhole(CAMERA), flat, window, gate, far, sums]
+    launch(sum_rows, depth.size, inputs, "cpu")
+    launch(fit_planes, depth.size, [*inputs, smooth, normals], "cpu", work_per_item=25)
     return smooth.numpy().reshape(depth.shape), normals.numpy().reshape(*depth.shape, 3)
 
 
@@ -90,6 +92,28 @@ def test_surfaces_do_not_blend_over_a_depth_edge() -> None:
     assert angles(normals, -np.where(left[:, None], near_normal, far_normal)).max() < 0.5
 
 
+def test_every_reading_of_the_window_counts_and_no_other() -> None:
+    """Two noisy walls with holes, one before the other, that end along a diagonal."""
+    rng = np.random.default_rng(0)
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    near = u + v < 65
+    depth = np.where(near, 0.3, 0.5) + rng.normal(0, 0.001, near.shape)
+    depth[rng.random(near.shape) < 0.3] = 0
+    smooth, normals = fitted(depth)
+    w = 1 / np.where(depth > 0, depth, 1)
+    checked = [i for i in rng.permutation(near.size) if depth.flat[i] > 0][:400]
+    for v0, u0 in np.column_stack(np.unravel_index(checked, near.shape)):
+        radius = 6 if near[v0, u0] else 4
+        part = (abs(u - u0) <= radius) & (abs(v - v0) <= radius)
+        part &= (depth > 0) & (near == near[v0, u0])
+        x, y = u[part] - u0, v[part] - v0
+        a, b, c = np.linalg.lstsq(np.column_stack([x, y, np.ones(len(x))]), w[part])[0]
+        at_axis = c + a * (CAMERA.cx - u0) + b * (CAMERA.cy - v0)
+        normal = -np.array([a * CAMERA.fx, b * CAMERA.fy, at_axis])
+        assert abs(smooth[v0, u0] - 1 / c) < 1e-5
+        assert angles(normals[v0, u0], normal / np.linalg.norm(normal)) < 0.2
+
+
 def test_too_few_neighbours_are_no_surface() -> None:
     depth = np.zeros((CAMERA.height, CAMERA.width))
     depth[10, 10] = 0.4  # alone
@@ -122,7 +146,7 @@ def shares(missing: np.ndarray, radius: int, usual: float = 0.0) -> np.ndarray:
     share = wp.empty(missing.size, dtype=float, device="cpu")
     height, width = missing.shape
     launch(missing_in_rows, height, [depth, width, height, radius, in_rows], "cpu")
-    launch(missing_share, width, [depth, in_rows, width, height, radius, usual, share], "cpu")
+    launch(missing_share, width, [depth, width, height, radius, in_rows, usual, share], "cpu")
     return np.asarray(share.numpy().reshape(missing.shape))
 
 

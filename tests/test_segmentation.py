@@ -190,20 +190,26 @@ def test_a_wall_behind_the_object_is_not_the_object(name: str, gap: float, slope
 
 
 def test_an_object_ends_where_it_stands_on_a_table() -> None:
-    """The table is the plane of the cuboid's face that looks away from the camera most."""
-    scene = held_object("cuboid")
-    axes = scene.T_camera_object[:3, :3].T
-    outward = max([*axes, *-axes], key=lambda axis: axis @ scene.T_camera_object[:3, 3])
-    on_table = replace(scene, observation=before(scene, plane_beyond(scene, outward, 0.0)))
-    diameter = scene.obj.model.diameter
-    found = segmented(on_table, SOFT, size=diameter)
-    right = on_object(scene, found.points)
-    assert found.weight[right].sum() > 0.85 * found.weight.sum()
-    alone = on_object(scene, segmented(scene, SOFT, size=diameter).points).sum()
-    assert right.sum() > 0.9 * alone
-    # If creases did not count, it would be one surface with the table.
-    joined = segmented(on_table, replace(SOFT, crease=10), size=diameter)
-    assert on_object(scene, joined.points).sum() < 0.1 * alone
+    """The table is the plane of the cuboid's face that looks away from the camera most.
+
+    At some places in the image, and not at others, a chain of points across the edge joins the two
+    when creases do not count. So several places are looked at, fractions of a cell apart.
+    """
+    joined = []
+    for aside in np.arange(8) * 0.0013:
+        scene = held_object("cuboid", float(aside))
+        axes, ahead = scene.T_camera_object[:3, :3].T, scene.T_camera_object[:3, 3]
+        outward = max([*axes, *-axes], key=ahead.dot)
+        on_table = replace(scene, observation=before(scene, plane_beyond(scene, outward, 0.0)))
+        diameter = scene.obj.model.diameter
+        found = segmented(on_table, SOFT, size=diameter)
+        right = on_object(scene, found.points)
+        assert found.weight[right].sum() > 0.85 * found.weight.sum()
+        alone = on_object(scene, segmented(scene, SOFT, size=diameter).points).sum()
+        assert right.sum() > 0.9 * alone
+        flat = segmented(on_table, replace(SOFT, crease=10), size=diameter)
+        joined.append(on_object(scene, flat.points).sum() < 0.1 * alone)
+    assert sum(joined) >= 3
 
 
 def test_a_surface_no_longer_than_the_object_stays() -> None:

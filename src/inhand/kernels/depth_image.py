@@ -4,6 +4,50 @@ import warp as wp
 
 from inhand.kernels.depth import Pinhole
 
+RowSums = wp.types.vector(length=5, dtype=float)
+"""Sums of 1, x, x^2, w and x w: readings of a row, x pixels to the right, of inverse depth w."""
+
+
+@wp.func
+def window_radius(camera: Pinhole, window: float, z: float):
+    """Radius [pixel] of a neighbourhood of radius `window` [m] at depth `z` [m]."""
+    return wp.clamp(int(window * camera.fx / z + 0.5), 2, 6)
+
+
+@wp.func
+def sum_row(
+    camera: Pinhole, depth: wp.array(dtype=float), i: int, z: float, window: float, gate: float
+):
+    """Sums over the neighbourhood's part of pixel i's row: of the readings on a surface at `z`."""
+    radius = window_radius(camera, window, z)
+    u = i % camera.width
+    n, x, xx, w, xw = float(0.0), float(0.0), float(0.0), float(0.0), float(0.0)
+    for du in range(wp.max(-radius, -u), wp.min(radius, camera.width - 1 - u) + 1):
+        d = depth[i + du]
+        if wp.abs(d - z) <= gate * window and d > 0.0:
+            n += 1.0
+            x += float(du)
+            xx += float(du * du)
+            w += 1.0 / d
+            xw += float(du) / d
+    return RowSums(n, x, xx, w, xw)
+
+
+@wp.kernel
+def sum_rows(
+    camera: Pinhole,
+    depth: wp.array(dtype=float),
+    window: float,
+    gate: float,
+    far: float,
+    sums: wp.array(dtype=RowSums),
+    first: int,
+):
+    """One work item a pixel: `sum_row` around it, where `fit_planes` may ask for it."""
+    i = first + wp.tid()
+    if depth[i] > 0.0 and depth[i] - far <= gate * window:
+        sums[i] = sum_row(camera, depth, i, depth[i], window, gate)
+
 
 @wp.kernel
 def fit_planes(
@@ -12,68 +56,57 @@ def fit_planes(
     window: float,
     gate: float,
     far: float,
+    sums: wp.array(dtype=RowSums),
     smooth: wp.array(dtype=float),
     normals: wp.array(dtype=wp.vec3),
     first: int,
 ):
     """One work item a pixel: plane through its neighbourhood, by least squares in inverse depth.
 
-    On a plane the inverse depth is linear in the pixel coordinates, so the fit is a 3x3 system.
+    On a plane the inverse depth is linear in the pixel coordinates, so the fit is a 3x3 system. Its
+    sums go over a square of pixels, row by row: where a row's reading above or below the pixel is
+    on the same surface, the row's sums are taken from there.
 
     Args (beyond the obvious):
         window: radius of the neighbourhood [m].
         gate: neighbours whose depth differs by more are left out, per metre of window radius.
         far: pixels behind this depth are left alone [m].
+        sums: result of `sum_rows`.
         smooth: out, depth of the fitted plane at the pixel [m], 0 without a reading.
         normals: out, unit normal towards the camera, 0 where no plane could be fitted.
     """
     i = first + wp.tid()
-    u = i % camera.width
-    v = i // camera.width
     z = depth[i]
     smooth[i] = z
     normals[i] = wp.vec3(0.0, 0.0, 0.0)
     if z <= 0.0 or z > far:
         return
-    radius = wp.clamp(int(window * camera.fx / z + 0.5), 2, 6)
-    step = wp.max(1, (radius + 2) // 3)
-    tolerance = gate * window
-    # Of the vectors (x, y, inverse depth) from the pixel: number, sum and second moments.
-    n = float(0.0)
-    total = wp.vec3()
-    moments = wp.mat33()
-    reach = (radius // step) * step
-    for dv in range(-reach, reach + 1, step):
-        for du in range(-reach, reach + 1, step):
-            x = u + du
-            y = v + dv
-            if x < 0 or y < 0 or x >= camera.width or y >= camera.height:
-                continue
-            d = depth[y * camera.width + x]
-            if d <= 0.0 or wp.abs(d - z) > tolerance:
-                continue
-            sample = wp.vec3(float(du), float(dv), 1.0 / d - 1.0 / z)
-            n += 1.0
-            total += sample
-            moments += wp.outer(sample, sample)
-    if n < 6.0:
-        return
-    mean = total / n
-    c = moments / n - wp.outer(mean, mean)
-    determinant = c[0, 0] * c[1, 1] - c[0, 1] * c[0, 1]
-    if determinant < 0.05 * c[0, 0] * c[1, 1] or determinant < 1.0e-3:
-        return
-    a = (c[0, 2] * c[1, 1] - c[1, 2] * c[0, 1]) / determinant
-    b = (c[1, 2] * c[0, 0] - c[0, 2] * c[0, 1]) / determinant
-    centre = 1.0 / z + mean[2] - a * mean[0] - b * mean[1]
-    if centre <= 0.0:
+    u, v = i % camera.width, i // camera.width
+    radius = window_radius(camera, window, z)
+    # Sums of the rows, of the rows times y, as many pixels below, and of the readings' y^2.
+    s, s_y, s_yy = RowSums(), RowSums(), float(0.0)
+    for dv in range(wp.max(-radius, -v), wp.min(radius, camera.height - 1 - v) + 1):
+        j = i + dv * camera.width
+        row = sums[j]
+        if wp.abs(depth[j] - z) > gate * window or depth[j] <= 0.0:
+            row = sum_row(camera, depth, j, z, window, gate)
+        s += row
+        s_y += float(dv) * row
+        s_yy += float(dv * dv) * row[0]
+    # Number, means of x, y and w, and their covariances.
+    n, x, y, w = s[0], s[1] / s[0], s_y[0] / s[0], s[3] / s[0]
+    xx, xy, yy = s[2] / n - x * x, s_y[1] / n - x * y, s_yy / n - y * y
+    xw, yw = s[4] / n - x * w, s_y[3] / n - y * w
+    determinant = xx * yy - xy * xy
+    a, b = (xw * yy - yw * xy) / determinant, (yw * xx - xw * xy) / determinant
+    centre = w - a * x - b * y
+    if n < 4.0 or determinant < wp.max(0.05 * xx * yy, 1.0e-3) or centre <= 0.0:
         return
     smooth[i] = 1.0 / centre
     # 1/z = a (u - u0) + b (v - v0) + centre = n . ray / D for the plane n . X = D.
     at_axis = centre + a * (camera.cx - float(u)) + b * (camera.cy - float(v))
-    normal = wp.normalize(wp.vec3(a * camera.fx, b * camera.fy, at_axis))
-    # With D > 0 the vector points away from the camera.
-    normals[i] = -normal
+    # With D > 0 this vector points away from the camera.
+    normals[i] = -wp.normalize(wp.vec3(a * camera.fx, b * camera.fy, at_axis))
 
 
 @wp.kernel
@@ -100,10 +133,10 @@ def missing_in_rows(
 @wp.kernel
 def missing_share(
     depth: wp.array(dtype=float),
-    in_rows: wp.array(dtype=int),
     width: int,
     height: int,
     radius: int,
+    in_rows: wp.array(dtype=int),
     usual: float,
     share: wp.array(dtype=float),
     first: int,

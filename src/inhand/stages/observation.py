@@ -13,7 +13,7 @@ from inhand.config import ObservationConfig
 from inhand.errors import NoAnswer
 from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
-from inhand.kernels.depth_image import fit_planes, missing_in_rows, missing_share
+from inhand.kernels.depth_image import RowSums, fit_planes, missing_in_rows, missing_share, sum_rows
 from inhand.kernels.hand_fit import DepthView
 from inhand.kernels.launch import launch, on_device
 
@@ -76,14 +76,13 @@ class Observation:
             step: 1 for every pixel.
             around: points [m], shape (n, 3); the rectangle of the image that shows them is enough.
         """
-        normals = self.view.normals.numpy().reshape(*self.smooth.shape, 3)
         every = (slice(step // 2, None, step),) * 2
         if around is not None:
             pixels = self.camera.project(around).astype(int)
             low = np.maximum(pixels.min(axis=0) - self.step, 0)
             high = pixels.max(axis=0) + self.step + 1
             every = slice(low[1], high[1], step), slice(low[0], high[0], step)
-        return _cloud(self.smooth, normals, self.camera, self.sphere, every)
+        return _cloud(self.smooth, self.view, self.camera, self.sphere, every)
 
 
 def observe(
@@ -128,14 +127,11 @@ def observe(
     view = DepthView()
     view.camera = pinhole(roi)
     view.depth = on_device(window.reshape(-1), float, device)
-    smooth_on_device, view.normals = _surfaces(view.camera, view.depth, far, config)
+    smooth, view.normals = _surfaces(view.camera, view.depth, far, config)
     view.missing = _missing_share(view.camera, view.depth, config.missing_window)
-    smooth = smooth_on_device.numpy().reshape(window.shape)
-    normals = view.normals.numpy().reshape(*window.shape, 3)
     distance = float((window * inside).sum()) / count
     step = max(1, round(config.point_spacing * roi.fx / distance))
-    every = slice(step // 2, None, step)
-    cloud = _cloud(smooth, normals, roi, (centre, radius), (every, every))
+    cloud = _cloud(smooth, view, roi, (centre, radius), (slice(step // 2, None, step),) * 2)
     if len(cloud.points) < config.min_points:
         raise NoAnswer("almost no depth readings lie in the region of the hand")
     return Observation(
@@ -166,13 +162,13 @@ def _noise(depth: NDArray[np.float32], inside: NDArray[np.bool_], apart: int) ->
 
 
 def _surfaces(camera: Any, depth: Any, far: float, config: ObservationConfig) -> tuple[Any, Any]:
-    """Smoothed depth [m] and normals of a flat image on the device, 0 where there are none."""
-    device = str(depth.device)
-    smooth = wp.empty(len(depth), dtype=float, device=device)
-    normals = wp.empty(len(depth), dtype=wp.vec3, device=device)
-    inputs = [camera, depth, config.normal_window, config.normal_gate, far, smooth, normals]
-    launch(fit_planes, len(depth), inputs, device, work_per_item=25)
-    return smooth, normals
+    """Smoothed depth [m], shape (h, w), and normals on the device, flat, 0 where there are none."""
+    device, kinds = str(depth.device), (RowSums, float, wp.vec3)
+    sums, smooth, normals = (wp.empty(len(depth), dtype=kind, device=device) for kind in kinds)
+    inputs = [camera, depth, config.normal_window, config.normal_gate, far, sums]
+    launch(sum_rows, len(depth), inputs, device, work_per_item=10)
+    launch(fit_planes, len(depth), [*inputs, smooth, normals], device, work_per_item=25)
+    return smooth.numpy().reshape(camera.height, camera.width), normals
 
 
 def _missing_share(camera: Any, depth: Any, radius: int) -> Any:
@@ -181,14 +177,12 @@ def _missing_share(camera: Any, depth: Any, radius: int) -> Any:
     It counts from what is usual around pixels with a reading.
     """
     device = str(depth.device)
-    in_rows = wp.empty(len(depth), dtype=int, device=device)
-    share = wp.empty(len(depth), dtype=float, device=device)
-    size = [camera.width, camera.height, radius]
-    rows = [depth, *size, in_rows]
+    in_rows, share = (wp.empty(len(depth), dtype=kind, device=device) for kind in (int, float))
+    rows = [depth, camera.width, camera.height, radius, in_rows]
     launch(missing_in_rows, camera.height, rows, device, work_per_item=2 * camera.width)
     around, reading = in_rows.numpy()[::EVERY], depth.numpy()[::EVERY] > 0
     usual = float(np.median(around[reading])) / (2 * radius + 1)
-    columns = [depth, in_rows, *size, usual, share]
+    columns = [*rows, usual, share]
     launch(missing_share, camera.width, columns, device, work_per_item=2 * camera.height)
     return share
 
@@ -221,13 +215,13 @@ def _window(
 
 def _cloud(
     smooth: NDArray[np.float32],
-    normals: NDArray[np.float32],
+    view: Any,
     roi: Camera,
     sphere: tuple[NDArray[np.float64], float],
     every: tuple[slice, slice],
 ) -> Cloud:
     """The points in the sphere of those pixels in the rows and columns that have a normal."""
-    z, normals = smooth[every], normals[every]
+    z, normals = smooth[every], view.normals.numpy().reshape(*smooth.shape, 3)[every]
     v, u = np.arange(roi.height)[every[0]], np.arange(roi.width)[every[1]]
     x = ((u - roi.cx) / roi.fx).astype(np.float32) * z
     y = ((v - roi.cy) / roi.fy).astype(np.float32)[:, None] * z
