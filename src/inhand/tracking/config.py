@@ -138,7 +138,7 @@ class ObjectTrackConfig(Section):
     """Two more starts are so many sds away, where the surface is known the least ..."""
     least_aside: NonNegative = 0.0007
     """... if one sd moves it by more than this, root mean square along its normals [m]."""
-    aside_lead: NonNegative = 0.15
+    aside_lead: NonNegative = 0.2
     """One of these takes the place of the prediction if it is better by more, as rivals are
     compared: less would let noise move an object that is still."""
 
@@ -149,9 +149,9 @@ class RestConfig(Section):
 
     hand_speed: NonNegative = 0.018
     """A hand whose given pose moves more slowly than this rests [m/s]."""
-    most_motion: NonNegative = 12.6
+    most_motion: NonNegative = 16.8
     """An object rests whose recent motion, squared and in units of what chance makes of it, is less
-    than this: 95 % are where nothing moves (chi squared, six degrees of freedom)."""
+    than this: 99 % are where nothing moves (chi squared, six degrees of freedom)."""
     settling: int = 4
     """Images after a search or a loss in which an answer follows the estimate at once."""
     doubt: NonNegative = 1.0
