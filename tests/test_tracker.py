@@ -347,6 +347,19 @@ def test_others_are_searched_for_while_the_pose_is_unsure(
     assert not looked[-1], "the images have told them apart"
 
 
+def test_an_object_that_comes_to_light_is_searched_for_rivals_once(still: Film) -> None:
+    """It is taken where it is expected, by what little shows at first: that may be wrong."""
+    tracker = still.tracker()
+    for i in range(4):
+        assert "rivals" not in still.show(tracker, i).timings
+    scene = still.scenes[4]
+    assert not still.show(tracker, 4, covered(scene, scene.label > 0)).found
+    answers = [still.show(tracker, i) for i in range(5, 12)]
+    assert all("wrist" not in answers[i].timings for i in (0, 1)), "it was found without a search"
+    assert ["rivals" in e.timings for e in answers] == [False, False, True] + [False] * 4
+    assert all(still.error(e, i) < 0.003 for i, e in enumerate(answers, start=5))
+
+
 def test_a_hidden_finger_stays_where_it_was(moving: Film) -> None:
     tracker = moving.tracker()
     for i in range(5):

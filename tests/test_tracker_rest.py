@@ -51,7 +51,7 @@ def test_where_the_image_says_more_it_is_the_estimate() -> None:
 
 
 def test_it_is_drawn_along_when_the_estimate_goes_too_far() -> None:
-    most = 0.1 - CONFIG.rest.least_doubt / CONFIG.object.lever
+    most = CONFIG.rest.doubt * (0.1 - CONFIG.rest.least_doubt / CONFIG.object.lever)
     np.testing.assert_allclose(off(-0.3, 0, 0, 0, 0, 0), [-most, 0, 0, 0, 0, 0], atol=1e-9)
 
 

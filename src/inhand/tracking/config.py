@@ -154,7 +154,7 @@ class RestConfig(Section):
     than this: 99 % are where nothing moves (chi squared, six degrees of freedom)."""
     settling: int = 4
     """Images after a search or a loss in which an answer follows the estimate at once."""
-    doubt: NonNegative = 1.0
+    doubt: NonNegative = 1.5
     """The answer stays while the estimate is within so many standard deviations, each less ..."""
     least_doubt: NonNegative = 0.0005
     """... this [m]: where the image says more, the answer is the estimate."""
@@ -220,6 +220,9 @@ class RivalConfig(Section):
     """While the answer's share among its rivals is less than this, others are searched for ..."""
     every: int = 5
     """... in one of so many images."""
+    first: int = 2
+    """And once when an object that was hidden has been followed for so many images: where it came
+    to light it may have been taken for another pose."""
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,8 @@ class Track:
     """Probability that the object's pose is not another altogether."""
     rivals: tuple[Rival, ...] = ()
     """Other poses that the images have not told from this one yet."""
+    searched: bool = True
+    """Whether a search has looked for rivals since the object was last hidden."""
 
     @property
     def whole_covariance(self) -> Array:
@@ -132,6 +134,7 @@ def predicted(
         hand_motion=o.memory * track.hand_motion + (1 - o.memory) * velocity,
         answer=step @ track.answer,
         images=0 if hidden else track.images,
+        searched=track.searched and not hidden,
         confidence=expected_confidence(track.confidence, config.loss),
     )
 

@@ -218,9 +218,11 @@ class PoseTracker:
     def _unsure(self) -> bool:
         """Whether it is time to look what else the object's pose may be."""
         c, track = self.config.rivals, self._track
-        if self._lost or track is None or self._images % c.every:
+        if self._lost or track is None:
             return False
-        return share_of_answer(track.rivals, c) < c.unsure
+        if not track.searched:
+            return track.images >= c.first
+        return self._images % c.every == 0 and share_of_answer(track.rivals, c) < c.unsure
 
     def _with_more_rivals(
         self, track: Track, image: NDArray[np.float32], camera: Camera, given: Array
@@ -228,7 +230,8 @@ class PoseTracker:
         """The track with what a search finds beside its pose."""
         estimate, known = self._estimate(image, camera, given), track.rivals
         T, c = track.T_camera_object, self.config.rivals
-        return replace(track, rivals=rivals_of(estimate, T, self._object, c, known))
+        rivals = rivals_of(estimate, T, self._object, c, known)
+        return replace(track, rivals=rivals, searched=True)
 
     def _stands_beside_the_hand(
         self, estimate: PoseEstimate, image: NDArray[np.float32], camera: Camera
