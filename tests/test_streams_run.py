@@ -122,6 +122,14 @@ def source(tmp_path: Path, scenes: list[Scene], models: list[str]) -> Path:
     return write_recording(tmp_path, "mcap", lambda make: recording_of(scenes[0], root, make))
 
 
+@pytest.fixture
+def broken_off(source: Path) -> Path:
+    """The recording without its end."""
+    file = storage_file(source)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
+    return source
+
+
 def test_default_output_and_what_is_said(
     tmp_path: Path,
     models: list[str],
@@ -178,12 +186,11 @@ def test_a_truncated_recording_is_processed_then_said(
     tmp_path: Path,
     models: list[str],
     calls: list[Any],
-    source: Path,
+    broken_off: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    file, out = storage_file(source), tmp_path / "o.jsonl"
-    file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
-    assert main(["run", str(source), *models, "--out", str(out)]) == 2
+    out = tmp_path / "o.jsonl"
+    assert main(["run", str(broken_off), *models, "--out", str(out)]) == 2
     results, summary = lines_of(out)
     assert len(results) == summary["processed"] == 2
     assert "damaged or was never finished" in summary["stopped"]
@@ -194,13 +201,11 @@ def test_the_first_problem_is_said_of_a_recording_that_breaks_off_too(
     tmp_path: Path,
     models: list[str],
     calls: list[Any],
-    source: Path,
+    broken_off: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    file = storage_file(source)
-    file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
     args = ["--out", str(tmp_path / "o.jsonl"), "--longest-gap", "0.001"]
-    assert main(["run", str(source), *models, *args]) == 2
+    assert main(["run", str(broken_off), *models, *args]) == 2
     assert "could not be estimated: image 0: no wrist pose" in capsys.readouterr().err
 
 
