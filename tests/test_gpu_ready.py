@@ -1,0 +1,105 @@
+"""What can be said of GPUs where there is none: the kernels compile, and rely on no CPU's ways."""
+
+import importlib
+import random
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from numpy.typing import NDArray
+
+import inhand
+from inhand import EstimatorConfig, PoseEstimate, PoseEstimator
+from inhand.kernels import launch as seam
+from inhand.synth.demo import demo_scene
+from inhand.synth.scene import Scene
+
+PACKAGE = Path(inhand.__file__).parent
+HOPPER = 90
+"""Compute capability of an H100."""
+
+KERNEL_MODULES = [
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if re.search("^@wp.kernel", path.read_text(), re.MULTILINE)
+]
+
+
+@pytest.mark.parametrize("name", KERNEL_MODULES)
+def test_kernels_compile_for_a_gpu(name: str, tmp_path: Path) -> None:
+    if HOPPER not in wp.get_cuda_supported_archs():
+        pytest.skip("this build of Warp has no compiler for this GPU")
+    module = importlib.import_module(name)
+    wp.compile_aot_module(module, arch=HOPPER, module_dir=tmp_path, use_ptx=True)
+    (ptx,) = tmp_path.glob("*.ptx")
+    kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+    entries = re.findall(r"\.entry (\w+)", ptx.read_text())
+    own = [kernel for kernel in kernels if kernel.module.name == name]
+    assert len(own) > 0
+    for kernel in own:
+        assert any(entry.startswith(kernel.key) for entry in entries), kernel.key
+
+
+@pytest.fixture
+def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Work items run in any order and arrays share no memory with NumPy's; the numbers of slices
+    that launches are cut into."""
+    chance = random.Random(0)
+    slices: list[int] = []
+
+    def run(commands: Sequence[Any], _inputs: Sequence[Any]) -> None:
+        slices.append(len(commands))
+        for command in chance.sample(commands, len(commands)):
+            command.launch()
+
+    create: Callable[..., None] = wp.array.__init__
+    read: Callable[[Any], NDArray[Any]] = wp.array.numpy
+
+    def create_apart(array: Any, data: Any = None, *args: Any, **options: Any) -> None:
+        create(array, np.array(data) if isinstance(data, np.ndarray) else data, *args, **options)
+
+    monkeypatch.setattr(wp.array, "__init__", create_apart)
+    monkeypatch.setattr(wp.array, "numpy", lambda array: read(array).copy())
+    monkeypatch.setattr(seam, "_run", run)
+    monkeypatch.setattr(seam, "SLICED_FROM_OPERATIONS", 0)
+    monkeypatch.setattr(seam, "cpu_count", lambda: 23)
+    return slices
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return demo_scene()
+
+
+def estimate(scene: Scene, config: EstimatorConfig) -> PoseEstimate:
+    estimator = PoseEstimator(scene.hand, scene.obj, config, "cpu")
+    return estimator.estimate(scene.depth, scene.camera, scene.T_camera_hand_given)
+
+
+@pytest.fixture(scope="module", params=["default", "paper"])
+def config(request: pytest.FixtureRequest) -> EstimatorConfig:
+    return EstimatorConfig() if request.param == "default" else EstimatorConfig.paper()
+
+
+@pytest.fixture(scope="module")
+def expected(scene: Scene, config: EstimatorConfig) -> PoseEstimate:
+    return estimate(scene, config)
+
+
+def test_estimates_rely_on_no_order_of_work_items_and_no_shared_memory(
+    scene: Scene, config: EstimatorConfig, expected: PoseEstimate, as_on_a_gpu: list[int]
+) -> None:
+    found = estimate(scene, config)
+    assert len(as_on_a_gpu) > 20
+    assert max(as_on_a_gpu) == 23
+    assert found.found
+    assert found.confidence == expected.confidence
+    assert found.joint_positions == expected.joint_positions
+    np.testing.assert_array_equal(found.T_camera_hand, expected.T_camera_hand)
+    assert len(found.candidates) == len(expected.candidates)
+    for one, other in zip(found.candidates, expected.candidates, strict=True):
+        np.testing.assert_array_equal(one.T_camera_object, other.T_camera_object)
