@@ -255,7 +255,7 @@ def fitted(start: PoseSet, evidence: Evidence, obj: PackedObject, points: int = 
     """Poses, shape (m, 4, 4), after twelve iterations."""
     return fit_to_field(
         evidence, obj, 0.3, start.T_camera_object, points, iterations=12, widths=(0.010, 0.004)
-    )
+    )[0]
 
 
 def surface_error(obj: PackedObject, T: np.ndarray, T_true: np.ndarray) -> np.ndarray:

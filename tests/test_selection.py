@@ -1,14 +1,16 @@
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from held_object import HeldObject, held_object
+from held_object import CAMERA, HeldObject, held_object
 
-from inhand.config import EvidenceConfig, SelectionConfig
+from inhand.config import EvidenceConfig, ObservationConfig, SelectionConfig
 from inhand.geometry.se3 import exp, inverse, transform
 from inhand.stages.evidence import gather_evidence, score_with_contact
+from inhand.stages.observation import observe
 from inhand.stages.render_selection import select_by_rendering
-from inhand.stages.results import PoseSet, Selection
+from inhand.stages.results import PoseSet, Segment, Selection
 from inhand.stages.selection import select
 
 CONFIG = SelectionConfig()
@@ -107,6 +109,37 @@ def test_a_rival_makes_the_answer_less_certain() -> None:
     )
     assert rival < hopeless < alone
     assert variant == alone
+
+
+def test_a_pose_that_may_have_slid_is_less_certain() -> None:
+    """A cuboid, the ends of which have no readings; only the drop at the probes counts."""
+    scene, nothing = held_object("cuboid"), 1e-9
+    config = replace(
+        CONFIG,
+        confidence_bias=0.0,
+        confidence_visible=nothing,
+        confidence_explained=nothing,
+        confidence_contact=nothing,
+        confidence_lead=nothing,
+    )
+    poses, segment = scene.T_camera_object[None], scene.segment
+    local = transform(inverse(scene.T_camera_object), segment.points.astype(np.float64))
+    along = local @ np.eye(3)[np.argmax(np.ptp(scene.obj.model.mesh.vertices, axis=0))]
+    middle = np.abs(along - along.mean()) < 0.3 * np.ptp(along)
+    # The image, too, ends where the segment does.
+    u, v = np.rint(CAMERA.project(segment.points[~middle])).astype(int).T
+    depth = scene.depth.copy()
+    for du, dv in np.ndindex(13, 13):
+        depth[v + dv - 6, u + du - 6] = 0
+    hand = scene.hand.hand
+    arguments = hand.reach, scene.obj.model.diameter, ObservationConfig(), "cpu"
+    seen = observe(depth, CAMERA, scene.hand_state.T_camera_hand, *arguments)
+    parts = (segment.points, segment.normals, segment.hand_distance, segment.weight)
+    short = replace(scene, observation=seen, segment=Segment(*(part[middle] for part in parts)))
+    sure, less = (selected(x, poses, config).confidence for x in (scene, short))
+    drop, less_drop = (math.log(c / (1 - c)) / config.confidence_drop for c in (sure, less))
+    assert 0.55 < drop < config.precision.max_drop + 1e-6
+    assert 0.1 < less_drop < 0.85 * drop
 
 
 def test_a_pose_within_the_hand_is_less_certain() -> None:

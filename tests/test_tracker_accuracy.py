@@ -4,17 +4,16 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from inhand.geometry.se3 import transform
+from inhand.geometry.se3 import moved, transform
 from inhand.synth.demo import builtin_object
-from inhand.tracking.accuracy import sensor_covariance, surface_form, surface_within
-from inhand.tracking.gaussian import moved
+from inhand.tracking.accuracy import sensor_covariance, surface_within
 
 SMALL = np.diag([0.02] * 3 + [0.001] * 3) ** 2
 
 
 @pytest.mark.parametrize("scale", [1.0, 3.0, 10.0])
 def test_it_is_the_share_of_samples(scale: float) -> None:
-    form, covariance = surface_form(builtin_object("cuboid")), scale**2 * SMALL
+    form, covariance = builtin_object("cuboid").surface_form, scale**2 * SMALL
     twists = np.random.default_rng(0).multivariate_normal(np.zeros(6), covariance, 20_000)
     square = np.einsum("ni,ij,nj->n", twists, form, twists)
     for distance in (0.001, 0.005, 0.02):
@@ -29,12 +28,12 @@ def test_the_form_is_how_far_the_surface_moves() -> None:
     way = transform(moved(np.eye(4), twist, obj.centre), points) - points
     along = np.einsum("ni,ni->n", way, normals)
     expected = np.mean(along**2)
-    assert twist @ surface_form(obj) @ twist == pytest.approx(expected, rel=0.02)
+    assert twist @ obj.surface_form @ twist == pytest.approx(expected, rel=0.02)
 
 
 def test_what_a_symmetry_does_not_change_may_be_unknown() -> None:
     obj = builtin_object("cylinder")
-    form, axis = surface_form(obj), np.asarray(obj.symmetry.axis)
+    form, axis = obj.surface_form, np.asarray(obj.symmetry.axis)
     turned = SMALL / 100
     turned[:3, :3] += np.outer(axis, axis)
     assert surface_within(turned, form, 0.005) > 0.99
@@ -46,7 +45,7 @@ def test_what_a_symmetry_does_not_change_may_be_unknown() -> None:
 
 
 def test_the_less_is_known_the_less_likely() -> None:
-    form = surface_form(builtin_object("bottle"))
+    form = builtin_object("bottle").surface_form
     chances = [surface_within(scale**2 * SMALL, form, 0.005) for scale in (0.1, 1, 3, 10, 100)]
     assert chances == sorted(chances, reverse=True)
     assert chances[0] > 0.999

@@ -6,12 +6,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from inhand.geometry import se3
+from inhand.geometry.se3 import moved
 from inhand.tracking.config import LossConfig
 from inhand.tracking.gaussian import (
     about_origin,
     carried,
     fused,
-    moved,
     rotation_vector,
     twist_between,
 )

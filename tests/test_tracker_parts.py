@@ -10,18 +10,17 @@ from scipy.spatial import KDTree
 from inhand.config import HandStateConfig
 from inhand.errors import NoAnswer
 from inhand.geometry import se3
-from inhand.geometry.se3 import rotation_angle, transform
+from inhand.geometry.se3 import moved, rotation_angle, transform
 from inhand.packed import PackedPart
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.hand_visibility import HandVisibility
-from inhand.tracking.accuracy import surface_form
+from inhand.stages.refinement import fit_to_field
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.finger_search import find_lost_fingers
-from inhand.tracking.gaussian import moved, twist_between
+from inhand.tracking.gaussian import twist_between
 from inhand.tracking.hand_track import follow_hand
 from inhand.tracking.object_track import (
     FollowedObject,
-    _system,
     follow_object,
     segment_near,
 )
@@ -65,7 +64,7 @@ def follow_found(held: HeldObject, track: Track, config: TrackerConfig = CONFIG)
     evidence = gather_evidence(
         held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
     )
-    return follow_object(evidence, held.obj, surface_form(held.obj.model), track, config)
+    return follow_object(evidence, held.obj, track, config)
 
 
 def follow(held: HeldObject, track: Track) -> np.ndarray:
@@ -116,20 +115,23 @@ def test_a_pose_that_slid_unseen_is_found_by_what_should_be_seen() -> None:
 
 def test_the_same_image_again_and_again_does_not_make_sure(held: HeldObject) -> None:
     """Errors that change average out; the others stay, as large as one image's, scaled."""
-    track, form = track_of(held, UNSURE), surface_form(held.obj.model)
+    track, c = track_of(held, UNSURE), CONFIG.object
     segment = segment_near(held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
     evidence = gather_evidence(
         held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
     )
-    system, _ = _system(evidence, held.obj, held.T_camera_object, CONFIG)
-    of_one = np.linalg.inv(CONFIG.object.point_information * system)
+    widths = c.last_width, c.last_width
+    _, system, _ = fit_to_field(
+        evidence, held.obj, c.image_weight, held.T_camera_object[None], c.points, 1, widths
+    )
+    of_one = np.linalg.inv(c.point_information * system[0])
     for _ in range(30):
-        found = follow_object(evidence, held.obj, form, track, CONFIG)
+        found = follow_object(evidence, held.obj, track, CONFIG)
         track = found.kept_in(track, 0.9, CONFIG)
     places = np.s_[3:, 3:]
     assert np.trace(track.object_covariance[places]) < 0.1 * np.trace(of_one[places])
     left = np.trace((track.lasting @ track.lasting.T)[places])
-    expected = CONFIG.object.lasting**2 * np.trace(of_one[places])
+    expected = c.lasting**2 * np.trace(of_one[places])
     assert 0.5 * expected < left < 1.5 * expected
 
 
@@ -239,25 +241,6 @@ def test_a_lost_finger_is_found_where_the_image_shows_it() -> None:
     assert wrong[0] < np.radians(6)
     kept = held.hand.fingers[1].joints
     np.testing.assert_array_equal(found.joint_vector[kept], truth.joint_vector[kept])
-
-
-def test_the_system_foretells_what_a_small_motion_changes(held: HeldObject) -> None:
-    """Its matrix is how its right-hand side falls with a twist about the object's centre."""
-    track = track_of(held, SURE)
-    segment = segment_near(held.observation, held.hand_state, track, held.hand, held.obj, CONFIG)
-    evidence = gather_evidence(
-        held.observation, held.hand_state, segment, held.hand, CONFIG.estimator.evidence
-    )
-    # Wide, so that weights hardly change.
-    config = replace(CONFIG, object=replace(CONFIG.object, last_width=0.05, points=10**6))
-    T, centre = held.T_camera_object, held.obj.model.centre
-    A, b = _system(evidence, held.obj, T, config)
-    size = np.sqrt(np.diag(A))
-    for i, small in enumerate([0.01] * 3 + [0.0005] * 3):
-        twist = small * np.eye(6)[i]
-        _, after = _system(evidence, held.obj, moved(T, twist, centre), config)
-        fallen = (b - after) / size / small / size[i]
-        np.testing.assert_allclose(fallen, A[i] / size / size[i], atol=0.35)
 
 
 def test_a_camera_that_turns_turns_the_covariance() -> None:

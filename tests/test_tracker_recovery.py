@@ -8,10 +8,10 @@ from held_object import HeldObject, built_in_object, held_object
 
 from inhand.estimate import PoseEstimate
 from inhand.geometry import se3
-from inhand.geometry.se3 import rotation_angle, transform
+from inhand.geometry.se3 import moved, rotation_angle, transform
 from inhand.object_symmetry import rotations_about
 from inhand.tracking.config import TrackerConfig
-from inhand.tracking.gaussian import moved, twist_between
+from inhand.tracking.gaussian import twist_between
 from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
 from inhand.tracking.track import Track
 

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inhand.geometry import se3
+from inhand.geometry.se3 import moved
 from inhand.tracking.config import TrackerConfig
-from inhand.tracking.gaussian import moved, twist_between
+from inhand.tracking.gaussian import twist_between
 from inhand.tracking.rest import rests, with_answer
 from inhand.tracking.track import Track
 

@@ -413,6 +413,28 @@ class PruningConfig(Section):
 
 
 @dataclass(frozen=True)
+class PrecisionConfig(Section):
+    """How firmly the image holds the answer: how the score drops where it may have slid to."""
+
+    points: int = 300
+    """About how many segment points and how many model points the precision is computed from."""
+    width: float = 0.004
+    """Width of their redescending weight [m]."""
+    image_weight: NonNegative = 0.3
+    """Weight of a visible model point against a segment point."""
+    point_information: float = 2.0e5
+    """Information of one segment point [1/m^2]."""
+    turn: float = 0.1
+    """Sd per axis of what is known without the image [rad] ..."""
+    shift: float = 0.005
+    """... and [m]."""
+    probe: float = 0.006
+    """The score is probed where the surface has moved by this [m], root mean square."""
+    max_drop: float = 0.6
+    """A larger drop of the score at a probe says nothing more."""
+
+
+@dataclass(frozen=True)
 class SelectionConfig(Section):
     """Choice of the answer among the poses that are left."""
 
@@ -458,18 +480,22 @@ class SelectionConfig(Section):
     """A larger lead in score over the best rival says nothing more."""
     max_visible: Real = 0.1
     """A larger score of what the camera sees of the first pose says nothing more."""
-    confidence_bias: Real = -1.2
-    """Log odds that a pose without agreement or lead is right. This and the four below are a
-    logistic regression over 1,607 frames of three hands with twelve objects and, at 0.15 of the
-    weight, 796 with the model of another object."""
-    confidence_visible: float = 11.5
+    confidence_bias: Real = -2.4
+    """Log odds that a pose without agreement, lead or drop is right. This and the five below are a
+    logistic regression over 1,908 frames of three hands, at two seeds each, and, at 0.2 of the
+    weight, 823 with the model of another object."""
+    confidence_visible: float = 10.6
     """Log odds per unit of the score of what the camera sees."""
-    confidence_explained: float = 1.1
+    confidence_explained: float = 0.7
     """Log odds per unit of the score of what the pose explains of the segment."""
-    confidence_contact: float = 7.4
+    confidence_contact: float = 8.0
     """Log odds taken away per unit of the contact penalty."""
-    confidence_lead: float = 5.5
+    confidence_lead: float = 4.5
     """Log odds per unit of the lead's square root."""
+    confidence_drop: float = 5.2
+    """Log odds per unit by which the score drops at the probes, on average."""
+    precision: PrecisionConfig = field(default_factory=PrecisionConfig)
+    """Where these are."""
     candidates: int = 10
     """Ranked alternatives reported."""
 

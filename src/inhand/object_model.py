@@ -104,6 +104,18 @@ class ObjectModel:
         """Centre of a small sphere around the object [m], shape (3,)."""
         return bounding_centre(self.mesh.hull_vertices)
 
+    @cached_property
+    def surface_form(self) -> NDArray[np.float64]:
+        """Quadratic form, shape (6, 6), of what a twist does to the surface.
+
+        `twist @ surface_form @ twist` is the mean square [m^2] of how far the surface moves along
+        its normals; the twist is about `centre`, in the object's frame. What moves a surface in
+        itself, such as the turn of a can about its axis, counts as nothing.
+        """
+        points, normals = self.surface.points - self.centre, self.surface.normals
+        J = np.concatenate([np.cross(points, normals), normals], axis=1)
+        return np.asarray(J.T @ J / len(J), dtype=np.float64)
+
 
 def bounding_centre(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Centre of a nearly smallest sphere around `points`, (n, 3), by stepping to the farthest one.

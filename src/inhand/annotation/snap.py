@@ -117,11 +117,11 @@ class Snapper:
         evidence = self._evidence(raw, label)
         fit = partial(fit_to_field, evidence, self.obj, c.refinement.image_weight)
         widths = s.first_width, s.middle_width, s.last_width
-        rough = fit(self._around(given), s.rough_points, s.rough_iterations, widths[:2])
+        rough, _, _ = fit(self._around(given), s.rough_points, s.rough_iterations, widths[:2])
         rough = self._on_the_leash(rough, given)
         scores = score_with_contact(evidence, self.obj, rough, c.refinement)
         best = rough[np.argsort(-scores, kind="stable")[: s.keep]]
-        fine = fit(best, s.fine_points, s.fine_iterations, widths[1:])
+        fine, _, _ = fit(best, s.fine_points, s.fine_iterations, widths[1:])
         scores = score_with_contact(evidence, self.obj, fine, c.selection)
         if scores.max() < s.least_score:
             raise NoAnswer("the image does not show the object where it is; move it closer")

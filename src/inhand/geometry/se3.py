@@ -92,6 +92,22 @@ def exp(xi: Array) -> Array:
     return out
 
 
+def moved(T: Array, twist: Array, pivot: Array) -> Array:
+    """`T`, (4, 4), after twists (..., 6) about a pivot of the body, as of shape (..., 4, 4).
+
+    Args:
+        T: the pose.
+        twist: rotation vectors [rad] and then translations [m], along the axes `T` maps to.
+        pivot: what rotations are about, in the body's frame [m], shape (3,).
+    """
+    out = exp(twist)
+    centre = T[:3, :3] @ pivot + T[:3, 3]
+    out[..., :3, 3] += centre
+    out[..., :3, :3] @= T[:3, :3]
+    out[..., :3, 3] -= out[..., :3, :3] @ pivot
+    return out
+
+
 def rotation_angle(R_a: Array, R_b: Array) -> Array:
     """Geodesic distance on SO(3) [rad] of rotations of shape (..., 3, 3) (paper, section IV-B)."""
     trace = np.einsum("...ij,...ij->...", R_a, R_b)

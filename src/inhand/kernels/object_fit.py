@@ -171,6 +171,8 @@ def refine_poses(
     segment_stride: int,
     image_weight: float,
     T_refined: wp.array(dtype=wp.mat44),
+    last_A: wp.array(dtype=Matrix6),
+    last_b: wp.array(dtype=Vector6),
     first: int,
 ):
     """One work item a pose: Gauss-Newton of the segment onto the model's distance field.
@@ -215,6 +217,8 @@ def refine_poses(
                 row = row_of(p - pivot, n)
                 A += wp.outer(image_weight * w * row, row)
                 b += image_weight * w * r * row
+        last_A[i] = A
+        last_b[i] = b
         trace = A[3, 3] + A[4, 4] + A[5, 5]
         damping = 0.003 * trace + 1.0e-6
         for k in range(3):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from inhand.config import RefinementConfig
 from inhand.kernels.launch import launch
+from inhand.kernels.normal_equations import Matrix6, Vector6
 from inhand.kernels.object_fit import refine_poses
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.clustering import distinct_poses
@@ -34,10 +35,12 @@ def refine(
         return refine_by_icp(poses, segment, obj, config)
     fit = partial(fit_to_field, evidence, obj, config.image_weight)
     widths = config.first_width, config.middle_width, config.last_width
-    rough = fit(poses.T_camera_object, config.rough_points, config.rough_iterations, widths[:2])
+    rough, _, _ = fit(
+        poses.T_camera_object, config.rough_points, config.rough_iterations, widths[:2]
+    )
     scores = score_with_contact(evidence, obj, rough, config)
     best = distinct_poses(PoseSet(rough, scores), obj, config.surface_distance, config.keep)
-    fine = fit(best.T_camera_object, config.model_points, config.iterations, widths[1:])
+    fine, _, _ = fit(best.T_camera_object, config.model_points, config.iterations, widths[1:])
     return PoseSet(fine, best.score)
 
 
@@ -45,12 +48,12 @@ def fit_to_field(
     evidence: Evidence,
     obj: PackedObject,
     image_weight: float,
-    T_camera_object: NDArray[np.float32],
+    T_camera_object: NDArray[np.floating[Any]],
     points: int,
     iterations: int,
     widths: tuple[float, float],
-) -> NDArray[np.float32]:
-    """Poses, shape (m, 4, 4), after Gauss-Newton on the model's distance field.
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Gauss-Newton on the model's distance field.
 
     Args:
         evidence: the evidence.
@@ -60,17 +63,23 @@ def fit_to_field(
         points: about how many segment points and how many model points are used.
         iterations: number of iterations.
         widths: of the redescending weight, in the first and the last iteration [m].
+
+    Returns:
+        The poses afterwards, (m, 4, 4), and the last iterations' systems A x = b, (m, 6, 6) and
+        (m, 6), for twists x about the object's centre along the camera's axes.
     """
-    refined: Any = wp.empty(len(T_camera_object), dtype=wp.mat44, device=obj.device)
+    kinds = (wp.mat44, Matrix6, Vector6)
+    out = [wp.empty(len(T_camera_object), dtype=kind, device=obj.device) for kind in kinds]
     n = min(points, len(obj.points))
     launch(
         refine_poses,
-        len(refined),
+        len(T_camera_object),
         [evidence.arrays, device_poses(T_camera_object, obj.device)]
         + [obj.points, obj.normals, n, obj.fields]
         + [wp.vec3(*obj.model.centre.tolist()), 0.5 * obj.model.diameter]
-        + [iterations, *widths, evidence.stride(points), image_weight, refined],
+        + [iterations, *widths, evidence.stride(points), image_weight, *out],
         obj.device,
         work_per_item=5 * iterations * (points + n),
     )
-    return np.asarray(refined.numpy())
+    T, A, b = (np.asarray(array.numpy()) for array in out)
+    return T, A, b

@@ -10,6 +10,7 @@ from inhand.stages.clustering import distinct_poses, surface_distances_to
 from inhand.stages.evidence import Evidence, agreement, contact_penalty, score_with_contact
 from inhand.stages.hidden_fingers import place_hidden_fingers
 from inhand.stages.observation import Observation
+from inhand.stages.precision import probes
 from inhand.stages.render_selection import select_by_rendering
 from inhand.stages.results import HandState, PoseSet, Segment, Selection
 
@@ -45,23 +46,32 @@ def select(
 def _confidence(
     ranked: PoseSet, evidence: Evidence, obj: PackedObject, config: SelectionConfig
 ) -> float:
-    """Probability that the first pose is right: how well it fits, and its lead over any rival.
+    """Probability that the first pose is right.
 
-    A rival is a pose whose surface lies elsewhere; slight variants of the first pose are none.
+    It counts how well the pose fits, its lead over any rival, and how firmly the image holds it:
+    how much worse poses to either side fit. A rival is a pose whose surface lies elsewhere; slight
+    variants of the first pose are none.
     """
     if not len(ranked):
         return 0.0
+    c = config
     apart = surface_distances_to(ranked.T_camera_object, ranked.T_camera_object[0], obj, 0.1)
-    rivals = ranked.score[apart > config.rival_distance]
-    lead = float(ranked.score[0] - rivals.max()) if len(rivals) else config.max_lead
-    first = device_poses(ranked.T_camera_object[:1], obj.device)
-    visible, explained = agreement(evidence, obj, first, config)[0]
+    rivals = ranked.score[apart > c.rival_distance]
+    lead = float(ranked.score[0] - rivals.max()) if len(rivals) else c.max_lead
+    first = ranked.T_camera_object[:1].astype(np.float64)
+    aside = probes(first[0], evidence, obj, c.precision)
+    poses = device_poses(np.concatenate([first, aside]), obj.device)
+    seen = agreement(evidence, obj, poses, c).astype(np.float64)
+    contact = contact_penalty(evidence, obj, poses, c.contact_points)
+    score = seen.sum(axis=1) - contact
+    drop = np.clip(score[0] - score[1:], 0, c.precision.max_drop).mean()
+    visible, explained = seen[0]
     logit = (
-        config.confidence_bias
-        + config.confidence_visible * min(float(visible), config.max_visible)
-        + config.confidence_explained * float(explained)
-        + config.confidence_lead * math.sqrt(min(max(lead, 0.0), config.max_lead))
-        - config.confidence_contact
-        * float(contact_penalty(evidence, obj, first, config.contact_points)[0])
+        c.confidence_bias
+        + c.confidence_visible * min(visible, c.max_visible)
+        + c.confidence_explained * explained
+        + c.confidence_lead * math.sqrt(min(max(lead, 0.0), c.max_lead))
+        + c.confidence_drop * drop
+        - c.confidence_contact * contact[0]
     )
     return 1 / (1 + math.exp(-max(min(logit, 50.0), -50.0)))

@@ -3,20 +3,7 @@
 import numpy as np
 from scipy.special import gammainc
 
-from inhand.object_model import ObjectModel
 from inhand.tracking.gaussian import Array
-
-
-def surface_form(obj: ObjectModel) -> Array:
-    """Quadratic form, shape (6, 6), of what a twist does to the object's surface.
-
-    `twist @ form @ twist` is the mean square [m^2] of how far the surface moves along its normals;
-    the twist is about the object's centre, in its frame. What moves a surface in itself, such as
-    the turn of a can about its axis, counts as nothing.
-    """
-    points, normals = obj.surface.points - obj.centre, obj.surface.normals
-    J = np.concatenate([np.cross(points, normals), normals], axis=1)
-    return np.asarray(J.T @ J / len(J))
 
 
 def surface_within(covariance: Array, form: Array, distance: float) -> float:

@@ -17,12 +17,11 @@ class Answers:
 
     Args:
         hand, obj: what is tracked.
-        form: the object's `surface_form`, shape (6, 6).
         config: parameters.
     """
 
-    def __init__(self, hand: Hand, obj: ObjectModel, form: Array, config: TrackerConfig) -> None:
-        self._hand, self._object, self._form, self._config = hand, obj, form, config
+    def __init__(self, hand: Hand, obj: ObjectModel, config: TrackerConfig) -> None:
+        self._hand, self._object, self._config = hand, obj, config
 
     def followed(self, track: Track, score: float, timings: dict[str, float]) -> PoseEstimate:
         """The answer where the object was followed, with this score."""
@@ -66,4 +65,4 @@ class Answers:
         """Probability that the pose is right, if it is not another altogether."""
         R = track.T_camera_object[:3, :3]
         covariance = carried(self._about_centre(track), R.T)
-        return surface_within(covariance, self._form, self._config.loss.right)
+        return surface_within(covariance, self._object.surface_form, self._config.loss.right)

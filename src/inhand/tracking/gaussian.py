@@ -9,16 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from inhand.geometry import se3
+from inhand.geometry.se3 import moved
 
 Array = NDArray[np.float64]
-
-
-def moved(T: Array, twist: Array, pivot: Array) -> Array:
-    """`T`, (4, 4), after a twist (6,) about a pivot [m] of the body, shape (3,)."""
-    out = np.eye(4)
-    out[:3, :3] = se3.exp_so3(twist[:3]) @ T[:3, :3]
-    out[:3, 3] = T[:3, :3] @ pivot + T[:3, 3] + twist[3:] - out[:3, :3] @ pivot
-    return out
 
 
 def twist_between(T_from: Array, T_to: Array, pivot: Array) -> Array:

@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.geometry import se3
+from inhand.geometry.se3 import moved
 from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import ArticulatedFit, FitInProgress, WristPrior
 from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
 from inhand.tracking.config import TrackerConfig
-from inhand.tracking.gaussian import Array, moved, twist_between
+from inhand.tracking.gaussian import Array, twist_between
 from inhand.tracking.track import Track
 
 ORIGIN = np.zeros(3)

@@ -1,12 +1,9 @@
-"""What the tracker computes on the device: the object's points and its fit."""
+"""What the tracker computes on the device: which points are the object's."""
 
 import warp as wp
 
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields, field_at
-from inhand.kernels.hand_fit import redescending
-from inhand.kernels.normal_equations import Matrix6, Vector6, row_of
-from inhand.kernels.object_fit import ObjectEvidence, visible_residual
 from inhand.kernels.transforms import to_local
 
 
@@ -54,57 +51,3 @@ def object_weights(
     to_uncertain, _h, _l = nearest_body(links, T_camera_link, 0, uncertain, 0, p, all)
     doubt = not_hand(wp.min(to_certain, to_uncertain), none, all)
     weight[i] = not_hand(to_certain, none, all) * (share + (1.0 - share) * doubt)
-
-
-@wp.kernel
-def object_terms(
-    e: ObjectEvidence,
-    T: wp.mat44,
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    n_points: int,
-    fields: Fields,
-    centre: wp.vec3,
-    width: float,
-    segment_stride: int,
-    image_weight: float,
-    n_blocks: int,
-    A: wp.array(dtype=Matrix6),
-    b: wp.array(dtype=Vector6),
-    first: int,
-):
-    """One work item a block of points: the sums of `kernels.object_fit.refine_poses` at one pose.
-
-    Args (beyond the obvious):
-        T: pose of the object in the camera.
-        points, normals: model surface samples, object frame; the first `n_points` are used.
-        centre: what rotations are about, object frame [m].
-        width: width of the redescending weight [m].
-        segment_stride: every how many segment points one is used.
-        image_weight: weight of one visible model sample against one segment point.
-        n_blocks: blocks, which take turns in taking points.
-        A, b: out, sums of every block; rotation before translation, camera axes.
-    """
-    block = first + wp.tid()
-    matrix = Matrix6()
-    side = Vector6()
-    pivot = wp.transform_point(T, centre)
-    for s in range(block * segment_stride, e.points.shape[0], n_blocks * segment_stride):
-        p = e.points[s]
-        value = field_at(fields, 0, to_local(T, p))
-        g = wp.transform_vector(T, value[1:4])
-        w = e.weights[s] * redescending(value[0], width) * wp.max(0.0, wp.dot(g, e.normals[s]))
-        if w > 0.0:
-            row = row_of(p - pivot, g)
-            matrix += wp.outer(w * row, row)
-            side += w * value[0] * row
-    for s in range(block, n_points, n_blocks):
-        p = wp.transform_point(T, points[s])
-        n = wp.transform_vector(T, normals[s])
-        r, w = visible_residual(e, p, n, width)
-        if w > 0.0:
-            row = row_of(p - pivot, n)
-            matrix += wp.outer(image_weight * w * row, row)
-            side += image_weight * w * r * row
-    A[block] = matrix
-    b[block] = side

@@ -8,20 +8,20 @@ import warp as wp
 
 from inhand.errors import NoAnswer
 from inhand.geometry import se3
+from inhand.geometry.se3 import moved
 from inhand.kernels.launch import launch, on_device
-from inhand.kernels.normal_equations import Matrix6, Vector6
+from inhand.object_model import ObjectModel
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.evidence import Evidence, agreement, contact_penalty
 from inhand.stages.observation import Observation
+from inhand.stages.precision import loosest_twists
 from inhand.stages.refinement import fit_to_field
 from inhand.stages.results import HandState, Segment
 from inhand.tracking.config import ObjectTrackConfig, TrackerConfig
-from inhand.tracking.gaussian import Array, moved, twist_between
-from inhand.tracking.kernels import object_terms, object_weights
+from inhand.tracking.gaussian import Array, twist_between
+from inhand.tracking.kernels import object_weights
 from inhand.tracking.rivals import Rival, told_apart
 from inhand.tracking.track import Track, start_covariance
-
-BLOCKS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def segment_near(
 
 
 def follow_object(
-    evidence: Evidence, obj: PackedObject, form: Array, track: Track, config: TrackerConfig
+    evidence: Evidence, obj: PackedObject, track: Track, config: TrackerConfig
 ) -> FollowedObject:
     """Refine and score two starts; hold the better to the prediction as firmly as that is known.
 
@@ -113,19 +113,17 @@ def follow_object(
     Args:
         evidence: the image.
         obj: the object.
-        form: its `surface_form`, shape (6, 6).
         track: the track as predicted.
         config: parameters.
     """
     c, centre = config.object, obj.model.centre
-    widths = c.first_width, c.last_width
     expected = track.T_camera_object
     rivals = [expected @ rival.T_object_rival for rival in track.rivals]
-    aside = _poses_aside(track, form, centre, c)
+    aside = _poses_aside(track, obj.model, c)
     starts = np.stack([expected, moved(expected, track.motion, centre), *rivals, *aside])
     fitted = fit_to_field(
-        evidence, obj, c.image_weight, starts.astype(np.float32), c.points, c.iterations, widths
-    ).astype(np.float64)
+        evidence, obj, c.image_weight, starts, c.points, c.iterations, (c.first_width, c.last_width)
+    )[0].astype(np.float64)
     score, merit = _scores(evidence, obj, fitted, config)
     best = int(np.argmax(score[:2] + [c.start_lead, 0.0]))
     T = fitted[best]
@@ -140,14 +138,15 @@ def follow_object(
     if ahead:
         first = max(ahead, key=lambda rival: rival.lead)
         track = _overtaken(track, T, first, left, config)
-        return follow_object(evidence, obj, form, track, config)
-    A, b = _system(evidence, obj, T, config)
-    seen = c.point_information * A
+        return follow_object(evidence, obj, track, config)
+    widths = c.last_width, c.last_width
+    _, A, b = fit_to_field(evidence, obj, c.image_weight, T[None], c.points, 1, widths)
+    seen = c.point_information * A[0].astype(np.float64)
     innovation = twist_between(expected, T, centre)
     prior = np.linalg.inv(track.object_covariance)
     covariance = np.linalg.inv(seen + prior)
     way = twist_between(T, expected, centre)
-    step = covariance @ (c.point_information * b + prior @ way)
+    step = covariance @ (c.point_information * b[0] + prior @ way)
     # The same error in all images: what the image adds comes on top of what is left of it.
     kept = np.eye(6) - covariance @ seen
     lasting = kept @ track.lasting + c.lasting * covariance @ _root(seen)
@@ -164,21 +163,18 @@ def follow_object(
     )
 
 
-def _poses_aside(
-    track: Track, form: Array, centre: Array, config: ObjectTrackConfig
-) -> list[Array]:
+def _poses_aside(track: Track, obj: ObjectModel, config: ObjectTrackConfig) -> list[Array]:
     """Poses to either side of the expected one, where the track lets its surface move the most.
 
     An image that hardly determines a direction does not pull the pose back along it either, but
     its score tells: it counts what the camera would see if the object were there.
     """
-    R = np.kron(np.eye(2), track.T_camera_object[:3, :3])
-    root = _root(R.T @ track.whole_covariance @ R)
-    variances, axes = np.linalg.eigh(root @ form @ root)
-    if variances[-1] < config.least_aside**2:
+    information = np.asarray(np.linalg.inv(track.whole_covariance), dtype=np.float64)
+    twists, sds = loosest_twists(information, obj, track.T_camera_object)
+    if sds[0] < config.least_aside:
         return []
-    way = config.aside * R @ root @ axes[:, -1]
-    return [moved(track.T_camera_object, twist, centre) for twist in (way, -way)]
+    way = config.aside * sds[0] * twists[0]
+    return [moved(track.T_camera_object, twist, obj.centre) for twist in (way, -way)]
 
 
 def _scores(
@@ -216,26 +212,6 @@ def _root(A: Array) -> Array:
     """Symmetric root of a positive semidefinite matrix."""
     values, vectors = np.linalg.eigh(A)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0)) @ vectors.T)
-
-
-def _system(
-    evidence: Evidence, obj: PackedObject, T: Array, config: TrackerConfig
-) -> tuple[Array, Array]:
-    """Gauss-Newton system of the image at pose `T`, (6, 6) and (6,)."""
-    c = config.object
-    A = wp.empty(BLOCKS, dtype=Matrix6, device=obj.device)
-    b = wp.empty(BLOCKS, dtype=Vector6, device=obj.device)
-    n, stride = min(c.points, len(obj.points)), evidence.stride(c.points)
-    launch(
-        object_terms,
-        BLOCKS,
-        [evidence.arrays, _mat44(T)]
-        + [obj.points, obj.normals, n, obj.fields, wp.vec3(*obj.model.centre.tolist())]
-        + [c.last_width, stride, c.image_weight, BLOCKS, A, b],
-        obj.device,
-        work_per_item=(c.points + n) // BLOCKS,
-    )
-    return A.numpy().sum(axis=0, dtype=np.float64), b.numpy().sum(axis=0, dtype=np.float64)
 
 
 def _mat44(T: Array) -> Any:

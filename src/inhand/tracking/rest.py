@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from inhand.geometry.se3 import moved
 from inhand.tracking.config import TrackerConfig
-from inhand.tracking.gaussian import Array, moved, twist_between
+from inhand.tracking.gaussian import Array, twist_between
 from inhand.tracking.track import Track
 
 

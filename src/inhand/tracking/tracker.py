@@ -16,7 +16,6 @@ from inhand.object_model import ObjectModel
 from inhand.stages.evidence import gather_evidence
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
-from inhand.tracking.accuracy import surface_form
 from inhand.tracking.answer import Answers
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.finger_search import find_lost_fingers
@@ -56,8 +55,7 @@ class PoseTracker:
             raise InputError(f"config must be an inhand.TrackerConfig, got {config!r:.80}")
         self.estimator = PoseEstimator(hand, obj, self.config.estimator, device)
         self._hand, self._object = self.estimator.hand, self.estimator.object
-        self._form = surface_form(self._object.model)
-        self._answers = Answers(self._hand.hand, self._object.model, self._form, self.config)
+        self._answers = Answers(self._hand.hand, self._object.model, self.config)
         self.reset()
 
     def reset(self) -> None:
@@ -159,7 +157,7 @@ class PoseTracker:
         c, hand, obj = self.config.estimator, self._hand, self._object
         segment = segment_near(observation, state, track, hand, obj, self.config)
         evidence = gather_evidence(observation, state, segment, hand, c.evidence)
-        return follow_object(evidence, obj, self._form, track, self.config)
+        return follow_object(evidence, obj, track, self.config)
 
     def _search(
         self, image: NDArray[np.float32], camera: Camera, given: Array, clock: Clock
