@@ -1,7 +1,6 @@
 """How precisely an image determines a pose of the object."""
 
 import numpy as np
-from scipy.linalg import eigh
 
 from inhand.config import PrecisionConfig
 from inhand.geometry.se3 import Array, moved
@@ -50,7 +49,11 @@ def loosest_twists(
         obj: the object.
         T_camera_object: its pose, shape (4, 4).
     """
-    turn = np.kron(np.eye(2), T_camera_object[:3, :3])
-    variances, twists = eigh(turn @ obj.surface_form @ turn.T, information)
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = T_camera_object[:3, :3]
+    # Twists that are as likely lie on a sphere after this.
+    whiten = np.linalg.inv(np.linalg.cholesky(information))
+    root = whiten @ turn
+    variances, axes = np.linalg.eigh(root @ obj.surface_form @ root.T)
     sds = np.sqrt(np.maximum(variances[::-1], 1e-18))
-    return twists.T[::-1] / sds[:, None], sds
+    return axes.T[::-1] @ whiten / sds[:, None], sds
