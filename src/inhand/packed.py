@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -15,11 +15,13 @@ from inhand.kernels.depth import DepthRenderer, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.kinematics import Chain, pose_links
-from inhand.kernels.launch import launch, on_device
+from inhand.kernels.launch import launch, on_device, pack
 from inhand.kernels.pair_matching import PairTable
-from inhand.kinematics import KinematicArrays
+from inhand.kernels.pose_distance import Surface
 from inhand.object_model import ObjectModel
 
+COMPARED_POINTS = 24
+"""Surface samples by which two poses of an object are compared."""
 NEAREST = 1e-3
 """A body that comes nearer to the camera's plane than this may show anywhere [m]."""
 
@@ -57,7 +59,7 @@ class PackedHand:
         counts = [len(surface.points) for surface in surfaces]
         self.point_start = np.cumsum([0, *counts])
         self.link = wp.array(np.repeat(np.arange(len(counts)), counts), dtype=int, device=device)
-        self.chain = pack_chain(hand.chain, device)
+        self.chain = pack(Chain, device, **vars(hand.chain))
         self.lower, self.upper = (
             wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
         )
@@ -141,7 +143,7 @@ class PackedPart:
     def __init__(self, hand: Hand, links: Sequence[int], device: str) -> None:
         self.device, self.links = device, np.array(links)
         chain, self.joints = hand.chain.part(links)
-        self.chain, self._joint_count = pack_chain(chain, device), len(chain.parent)
+        self.chain, self._joint_count = pack(Chain, device, **vars(chain)), len(chain.parent)
         surfaces = [hand.links[i].surface for i in links]
         self.counts = np.array([len(surface.points) for surface in surfaces])
         order = np.argsort(np.concatenate([np.arange(n) for n in self.counts]), kind="stable")
@@ -181,6 +183,7 @@ class PackedObject:
         device: Warp device name.
         fields: its distance field, `kernels.fields.Fields` with one body.
         points, normals: surface samples in progressive order, object frame, `wp.vec3`.
+        surface: what poses are compared by, `kernels.pose_distance.Surface`.
         pairs: the pair table, `kernels.pair_matching.PairTable`.
         renderer: ray caster of the object.
     """
@@ -191,22 +194,10 @@ class PackedObject:
         self.fields = pack_fields([model.distance_field], [model.mesh], device)
         self.points = wp.array(model.surface.points, dtype=wp.vec3, device=device)
         self.normals = wp.array(model.surface.normals, dtype=wp.vec3, device=device)
-        self.pairs = pairs = PairTable()
-        pairs.points, pairs.normals = self.points, self.normals
-        for name in ("cell_start", "pair_first", "pair_second"):
-            setattr(pairs, name, wp.array(getattr(model.pairs, name), dtype=int, device=device))
-        pairs.distance_step = model.pairs.distance_step
-        pairs.n_distance, pairs.n_angle = model.pairs.n_distance, model.pairs.n_angle
+        few, centre = model.surface.points[:COMPARED_POINTS], wp.vec3(*model.centre.tolist())
+        self.surface = pack(Surface, device, points=few, fields=self.fields, centre=centre)
+        self.pairs = pack(PairTable, device, **vars(model.pairs), **vars(model.surface))
         self.renderer = DepthRenderer([model.mesh], device)
-
-
-def pack_chain(arrays: KinematicArrays, device: str) -> Any:
-    """The kinematics of a hand, or of a part of it, as a kernel argument."""
-    chain = Chain()
-    members = get_type_hints(Chain.cls)  # type: ignore[attr-defined]  # of the Warp struct
-    for name, kind in members.items():
-        setattr(chain, name, wp.array(getattr(arrays, name), dtype=kind.dtype, device=device))
-    return chain
 
 
 def _windows(
