@@ -116,7 +116,8 @@ class Camera:
                 f"{', '.join(names)} and optionally depth_unit_m"
             )
         try:
-            camera = cls(*(fields[n] for n in names), depth_unit=fields.get("depth_unit_m", 0.001))
+            fx, fy, cx, cy, width, height = (fields[n] for n in names)
+            camera = cls(fx, fy, cx, cy, width, height, fields.get("depth_unit_m", 0.001))
             camera.check_plausible()
         except InputError as error:
             raise InputError(f"the camera file {path}: {error}") from error
