@@ -116,15 +116,11 @@ class PackedHand:
         if not shown.any():
             return depth
         around = [*windows[shown, :2].min(axis=0), *windows[shown, 2:].max(axis=0)]
-        launch(
-            trace_bodies,
-            (around[2] - around[0]) * (around[3] - around[1]),
-            [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
-            + [on_device(windows, wp.vec4i, self.device), wp.vec4i(*around), depth]
-            + [self._no_image if link is None else link],
-            self.device,
-            work_per_item=30,
-        )
+        pixels = (around[2] - around[0]) * (around[3] - around[1])
+        inputs = [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
+        inputs += [on_device(windows, wp.vec4i, self.device), wp.vec4i(*around), depth]
+        inputs += [self._no_image if link is None else link]
+        launch(trace_bodies, pixels, inputs, self.device, work_per_item=30)
         return depth
 
 
@@ -165,13 +161,8 @@ class PackedPart:
         links = wp.empty(len(q) * len(self.links), dtype=wp.mat44, device=self.device)
         wrists = on_device(T_camera_hand, wp.mat44d, self.device)
         positions = on_device(q, wp.float64, self.device)
-        launch(
-            pose_links,
-            len(q),
-            [self.chain, positions, wrists, joints, links],
-            self.device,
-            work_per_item=20 * self._joint_count,
-        )
+        inputs = [self.chain, positions, wrists, joints, links]
+        launch(pose_links, len(q), inputs, self.device, work_per_item=20 * self._joint_count)
         return links
 
 
