@@ -1,14 +1,16 @@
+from dataclasses import replace
+
 import numpy as np
 import warp as wp
+from hand_made import view
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_depth import plane_depth, rays, sphere_depth
 from scipy.ndimage import correlate
 
 from inhand.camera import Camera
-from inhand.kernels.depth import pinhole
 from inhand.kernels.depth_image import RowSums, fit_planes, missing_in_rows, missing_share, sum_rows
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import computed, launch
 
 CAMERA = Camera(fx=420, fy=380, cx=50.3, cy=20.8, width=83, height=57)
 WINDOW, GATE = 0.005, 2.0
@@ -18,14 +20,12 @@ def fitted(
     depth: np.ndarray, window: float = WINDOW, gate: float = GATE, far: float = 100.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed depth (H, W) and normals (H, W, 3)."""
-    smooth = wp.empty(depth.size, dtype=float, device="cpu")
-    normals = wp.empty(depth.size, dtype=wp.vec3, device="cpu")
-    flat = wp.array(depth.reshape(-1), dtype=float, device="cpu")
+    seen = view(CAMERA, depth)
     sums = wp.empty(depth.size, dtype=RowSums, device="cpu")
-    inputs = [pinhole(CAMERA), flat, window, gate, far, sums]
+    inputs = [seen, window, gate, far, sums]
     launch(sum_rows, depth.size, inputs, "cpu")
-    launch(fit_planes, depth.size, [*inputs, smooth, normals], "cpu", work_per_item=25)
-    return smooth.numpy().reshape(depth.shape), normals.numpy().reshape(*depth.shape, 3)
+    smooth = computed(fit_planes, depth.shape, float, inputs, "cpu", work_per_item=25)
+    return smooth, seen.normals.numpy().reshape(*depth.shape, 3)
 
 
 def angles(normals: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -141,13 +141,13 @@ def test_an_empty_image_has_no_surface() -> None:
 
 
 def shares(missing: np.ndarray, radius: int, usual: float = 0.0) -> np.ndarray:
-    depth = wp.array(np.where(missing, 0.0, 0.5).reshape(-1), dtype=float, device="cpu")
-    in_rows = wp.empty(missing.size, dtype=int, device="cpu")
-    share = wp.empty(missing.size, dtype=float, device="cpu")
     height, width = missing.shape
-    launch(missing_in_rows, height, [depth, width, height, radius, in_rows], "cpu")
-    launch(missing_share, width, [depth, width, height, radius, in_rows, usual, share], "cpu")
-    return np.asarray(share.numpy().reshape(missing.shape))
+    camera = replace(CAMERA, width=width, height=height)
+    seen = view(camera, np.where(missing, 0.0, 0.5))
+    in_rows = wp.empty(missing.size, dtype=int, device="cpu")
+    launch(missing_in_rows, height, [seen, radius, in_rows], "cpu")
+    launch(missing_share, width, [seen, radius, in_rows, usual], "cpu")
+    return np.asarray(seen.missing.numpy().reshape(missing.shape))
 
 
 def expected_shares(missing: np.ndarray, radius: int) -> np.ndarray:

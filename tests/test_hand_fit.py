@@ -12,7 +12,7 @@ from inhand.camera import Camera
 from inhand.config import HandStateConfig
 from inhand.geometry.se3 import exp
 from inhand.kernels.hand_fit import Visibility, score_configurations
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import computed
 from inhand.packed import device_poses
 from inhand.stages.segmentation import distances_to_hand
 
@@ -34,20 +34,20 @@ def scores(
 
     A pose that scores below `early[1]` after `early[0]` samples is given up.
     """
-    n, c, width, height = len(points), len(poses), seen_by.camera.width, seen_by.camera.height
+    n, width, height = len(points), seen_by.camera.width, seen_by.camera.height
     other = np.broadcast_to(fixed, (height, width)).reshape(-1)
-    score, seen = (wp.empty(c, dtype=float, device="cpu") for _ in range(2))
-    launch(
+    scores = computed(
         score_configurations,
-        c,
+        (len(poses),),
+        wp.vec2,
         [seen_by, rule, device_poses(poses, "cpu"), 1]
         + [wp.array(points, dtype=wp.vec3), wp.array(normals, dtype=wp.vec3)]
         + [wp.zeros(n, dtype=int), n, *early]
-        + [wp.array(other, dtype=float), 1, score, seen],
+        + [wp.array(other, dtype=float), 1],
         "cpu",
         work_per_item=n,
     )
-    return score.numpy(), seen.numpy()
+    return scores[:, 0], scores[:, 1]
 
 
 def judge(
@@ -196,22 +196,22 @@ def test_scores_of_fingers_are_those_of_brute_force() -> None:
     for k, finger in enumerate(hand.hand.fingers):
         part = hand.fingers[k]
         samples = sum(len(hand.hand.links[i].surface.points) for i in finger.links)
-        score, seen = (wp.empty(len(q), dtype=float, device="cpu") for _ in range(2))
-        launch(
+        scores = computed(
             score_configurations,
-            len(q),
+            (len(q),),
+            wp.vec2,
             [scene.observation.view, rule, part.pose(q[:, part.joints], wrists)]
             + [len(part.links), part.points, part.normals, part.link, samples, 0, 0.0]
-            + [fixed, 1, score, seen],
+            + [fixed, 1],
             "cpu",
             work_per_item=samples,
         )
         image = fixed.numpy().reshape(camera.height, camera.width)
         expected = np.array([brute_force(scene, k, T, image) for T in poses])
         # A point may lie on a threshold.
-        np.testing.assert_allclose(score.numpy(), expected[:, 0], atol=0.02)
-        np.testing.assert_allclose(seen.numpy(), expected[:, 1], atol=0.01)
-        assert score.numpy().argmax() == 0, score.numpy()
+        np.testing.assert_allclose(scores[:, 0], expected[:, 0], atol=0.02)
+        np.testing.assert_allclose(scores[:, 1], expected[:, 1], atol=0.01)
+        assert scores[:, 0].argmax() == 0, scores
 
 
 # Distances

@@ -12,10 +12,9 @@ from tiny_urdf import joint, link, mimic, write
 
 from inhand.errors import InputError
 from inhand.geometry.se3 import exp
-from inhand.kernels.kinematics import pose_links
-from inhand.kernels.launch import launch
+from inhand.kernels.kinematics import Chain, pose_links
+from inhand.kernels.launch import launch, pack
 from inhand.kinematics import KinematicArrays, build_chain, independent_joints
-from inhand.packed import pack_chain
 from inhand.reach import reach_sphere
 from inhand.urdf import read_urdf
 
@@ -118,7 +117,7 @@ def posed(
     links = wp.empty(len(q) * len(chain.link_joint), dtype=wp.mat44, device="cpu")
     wrists = wp.array(T_camera_hand, dtype=wp.mat44d, device="cpu")
     positions = wp.array(q, dtype=wp.float64, device="cpu")
-    packed = pack_chain(chain, "cpu")
+    packed = pack(Chain, "cpu", **vars(chain))
     launch(pose_links, len(q), [packed, positions, wrists, joints, links], "cpu")
     return joints.numpy(), links.numpy().reshape(len(q), -1, 4, 4)
 

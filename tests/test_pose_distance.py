@@ -11,8 +11,8 @@ from inhand.geometry.distance_field import build_distance_field
 from inhand.geometry.mesh import sphere
 from inhand.geometry.se3 import exp, inverse, transform
 from inhand.kernels.fields import pack_fields
-from inhand.kernels.launch import launch
-from inhand.kernels.pose_distance import surface_distances
+from inhand.kernels.launch import computed, pack
+from inhand.kernels.pose_distance import Surface, surface_distances
 from inhand.packed import PackedObject, device_poses
 
 POSE = exp(np.array([0.4, -1.0, 2.0, 0.05, -0.02, 0.5]))
@@ -23,23 +23,20 @@ def distances(
     obj: PackedObject, T_a: np.ndarray, T_b: np.ndarray, points: int = 200, farthest: float = FAR
 ) -> np.ndarray:
     """Mean distances [m] of surfaces at poses T_a, (m, 4, 4), to the one at T_b."""
-    return launched(obj.points, points, obj.fields, obj.model.centre, T_a, T_b, farthest)
+    surface = surface_of(obj.model.surface.points[:points], obj.fields, obj.model.centre)
+    return launched(surface, T_a, T_b, farthest)
 
 
-def launched(
-    points: Any,
-    count: int,
-    fields: Any,
-    centre: np.ndarray,
-    T_a: np.ndarray,
-    T_b: np.ndarray,
-    farthest: float,
-) -> np.ndarray:
-    out = wp.empty(len(T_a), dtype=float, device="cpu")
+def surface_of(points: np.ndarray, fields: Any, centre: np.ndarray) -> Any:
+    middle: Any = wp.vec3(*centre.tolist())
+    return pack(Surface, "cpu", points=points, fields=fields, centre=middle)
+
+
+def launched(surface: Any, T_a: np.ndarray, T_b: np.ndarray, farthest: float) -> np.ndarray:
     other: Any = wp.mat44(*T_b.reshape(-1).tolist())
-    inputs = [device_poses(T_a, "cpu"), other, points, count, fields, wp.vec3(*centre.tolist())]
-    launch(surface_distances, len(T_a), [*inputs, farthest, out], "cpu", work_per_item=count)
-    return np.asarray(out.numpy())
+    inputs = [surface, device_poses(T_a, "cpu"), other, farthest]
+    work = len(surface.points)
+    return computed(surface_distances, (len(T_a),), float, inputs, "cpu", work_per_item=work)
 
 
 @given(st.integers(0, 10_000), st.sampled_from(["industrial_part", "bottle"]))
@@ -63,14 +60,13 @@ def test_a_shifted_sphere_in_closed_form() -> None:
     """A point at angle t from the shift d is d cos(t) away to first order."""
     mesh = sphere(0.03)
     fields = pack_fields([build_distance_field(mesh, 0.002, 0.01)], [mesh], "cpu")
-    points = wp.array(mesh.vertices, dtype=wp.vec3, device="cpu")
     shifts = np.array([0.001, 0.002, 0.004])
     T = POSE @ exp(np.pad(shifts[:, None], ((0, 0), (3, 2))))
-    arguments = (points, len(mesh.vertices), fields, np.zeros(3))
+    surface = surface_of(mesh.vertices, fields, np.zeros(3))
     # The mean of |cos| over a sphere is one half.
-    np.testing.assert_allclose(launched(*arguments, T, POSE, FAR), shifts / 2, rtol=0.05)
+    np.testing.assert_allclose(launched(surface, T, POSE, FAR), shifts / 2, rtol=0.05)
     turned = POSE @ exp(np.array([[1.0, 2.0, 3.0, 0, 0, 0]]))
-    assert launched(*arguments, turned, POSE, FAR)[0] < 1e-4
+    assert launched(surface, turned, POSE, FAR)[0] < 1e-4
 
 
 def test_a_shifted_box_in_closed_form() -> None:

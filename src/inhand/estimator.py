@@ -1,12 +1,13 @@
 """The pipeline: the stages in order."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
@@ -36,6 +37,22 @@ Result = TypeVar("Result")
 
 FARTHEST = 50.0
 """Depths and wrists beyond this are no metres [m]."""
+
+
+class Clock:
+    """Measures the stages."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    def time(self, stage: str, function: Callable[..., Result], *args: Any) -> Result:
+        """What `function` returns; its time is noted."""
+        start = time.perf_counter()
+        try:
+            return function(*args)
+        finally:
+            taken = time.perf_counter() - start
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + taken
 
 
 @dataclass(frozen=True)
@@ -133,11 +150,11 @@ class PoseEstimator:
         return self._answer(results, clock), results
 
     def _stages(
-        self, depth: NDArray[np.float32], camera: Camera, T: Any, clock: "Clock"
+        self, depth: NDArray[np.float32], camera: Camera, T: Any, clock: Clock
     ) -> Iterator[StageResults]:
         """Run the stages one after the other, yielding the results so far after each."""
         c, hand, obj, r = self.config, self.hand, self.object, StageResults()
-        rng = np.random.default_rng(c.seed)
+        rng = default_rng(c.seed)
         diameter, reach = obj.model.diameter, hand.hand.reach
 
         observation = clock.time(
@@ -154,13 +171,13 @@ class PoseEstimator:
         yield (r := replace(r, hand_state=state))
 
         best, searches = r, (c,) if c.first_look.enough == 1 else (c.quick, c)
-        for reached in self._object_stages(r, observation, state, searches, clock, rng):
+        for reached in self._object_stages(r, searches, clock, rng):
             yield (best := reached)
         if best.segment is not None and best.confidence < c.second_look.below:
             for other in clock.time(
                 "second_look", hands_in_segment, observation, state, best.segment, hand, c
             ):
-                again = self._second_look(r, observation, other, searches[:1], clock, rng)
+                again = self._second_look(replace(r, hand_state=other), searches[:1], clock, rng)
                 if again.confidence > best.confidence:
                     yield (best := again)
 
@@ -172,24 +189,19 @@ class PoseEstimator:
         return r
 
     def _object_stages(
-        self,
-        r: StageResults,
-        observation: Observation,
-        state: HandState,
-        searches: tuple[EstimatorConfig, ...],
-        clock: "Clock",
-        rng: np.random.Generator,
+        self, r: StageResults, searches: Sequence[EstimatorConfig], clock: Clock, rng: Generator
     ) -> Iterator[StageResults]:
         """The stages that follow the hand's, as `_stages`; one search after the other until the
         answer is sure."""
         c, hand, diameter = self.config, self.hand, self.object.model.diameter
+        observation, state = r.observation, r.hand_state
         segment = clock.time(
             "segmentation", segment_object, observation, state, hand, diameter, c.segmentation
         )
         evidence = clock.time(
             "evidence", gather_evidence, observation, state, segment, hand, c.evidence
         )
-        yield (r := replace(r, hand_state=state, segment=segment))
+        yield (r := replace(r, segment=segment))
 
         first = r
         for search in searches[:-1]:
@@ -201,12 +213,7 @@ class PoseEstimator:
         yield from self._pose_stages(r, evidence, searches[-1], clock, rng)
 
     def _pose_stages(
-        self,
-        r: StageResults,
-        evidence: Evidence,
-        c: EstimatorConfig,
-        clock: "Clock",
-        rng: np.random.Generator,
+        self, r: StageResults, evidence: Evidence, c: EstimatorConfig, clock: Clock, rng: Generator
     ) -> Iterator[StageResults]:
         """The stages from hypotheses to selection, as `_stages`."""
         hand, obj, state, segment = self.hand, self.object, r.hand_state, r.segment
@@ -231,7 +238,7 @@ class PoseEstimator:
         )  # fmt: skip
         yield replace(r, selection=selection)
 
-    def _answer(self, results: StageResults, clock: "Clock") -> PoseEstimate:
+    def _answer(self, results: StageResults, clock: Clock) -> PoseEstimate:
         selection, state = results.selection, results.hand_state
         if selection is None or state is None or not len(selection.poses):
             return self._no_answer("no pose of the object agrees with the image", results, clock)
@@ -250,7 +257,7 @@ class PoseEstimator:
             timings=clock.seconds,
         )
 
-    def _no_answer(self, reason: str, results: StageResults, clock: "Clock") -> PoseEstimate:
+    def _no_answer(self, reason: str, results: StageResults, clock: Clock) -> PoseEstimate:
         state = results.hand_state
         return PoseEstimate(
             found=False,
@@ -312,19 +319,3 @@ def check_wrist(T_camera_hand: Any) -> NDArray[np.float64]:
             "to be in millimetres; multiply it by 0.001"
         )
     return T
-
-
-class Clock:
-    """Measures the stages."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    def time(self, stage: str, function: Callable[..., Result], *args: Any) -> Result:
-        """What `function` returns; its time is noted."""
-        start = time.perf_counter()
-        try:
-            return function(*args)
-        finally:
-            taken = time.perf_counter() - start
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + taken

@@ -2,11 +2,12 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 
 from inhand.cache import Arrays, cached, put_together, taken_apart
 from inhand.checks import number_array
@@ -18,7 +19,7 @@ from inhand.geometry.sampling import SurfaceSamples, sample_surface
 from inhand.geometry.se3 import Array
 from inhand.kinematics import KinematicArrays, build_chain, independent_joints
 from inhand.reach import reach_sphere
-from inhand.urdf import PackagePaths, Robot, Shape, read_urdf
+from inhand.urdf import PackagePaths, Robot, Shape, UrdfLink, read_urdf
 
 SAMPLE_SPACING = 0.004
 """Distance between neighbouring surface samples [m] aimed at."""
@@ -119,6 +120,7 @@ class Hand:
                 f"{path}: all links are less than {LINK_DIAMETERS[0]} m across; are its meshes in "
                 "metres already? Then remove their scale"
             )
+        centres, radii = zip(*(link.mesh.bounding_sphere for link in links), strict=True)
         joints = {joint.name: joint for joint in robot.joints}
         names = independent_joints(robot)
         lower = np.array([joints[name].lower for name in names])
@@ -134,7 +136,7 @@ class Hand:
             upper=upper,
             all_joint_names=tuple(joint.name for joint in robot.joints if joint.movable),
             chain=chain,
-            reach=reach_sphere(chain, *_bounding_spheres(links), lower, upper),
+            reach=reach_sphere(chain, np.stack(centres), np.array(radii), lower, upper),
             _frame_names=frame_names,
             _frames=build_chain(robot, frame_names),
         )
@@ -222,24 +224,19 @@ def _finite(positions: ArrayLike) -> Array:
 def _find_fingers(chain: KinematicArrays, robot: Robot) -> tuple[Finger, ...]:
     """Group the movable joints by the joint on the palm that carries them, and these groups by
     the independent joints they share."""
-    group = np.arange(len(chain.parent))
-    for joint, parent in enumerate(chain.parent):
-        if parent >= 0:
-            group[joint] = group[parent]
-    for source in np.unique(chain.source):
-        sharing = np.unique(group[chain.source == source])
-        group[np.isin(group, sharing)] = sharing.min()
+    together = chain.source[:, None] == chain.source
+    carried = np.flatnonzero(chain.parent >= 0)
+    together[carried, chain.parent[carried]] = True
+    count, group = connected_components(together, directed=False)
     first_links = [joint.child for joint in robot.joints if joint.movable]
     fingers = []
-    for first in np.unique(group):
-        joints = np.flatnonzero(group == first)
+    for number in range(count):
+        joints = np.flatnonzero(group == number)
         links = np.flatnonzero(np.isin(chain.link_joint, joints))
         links = links[np.argsort(chain.link_joint[links], kind="stable")]
         if len(links):
-            sources = np.unique(chain.source[joints])
-            fingers.append(
-                Finger(first_links[first], tuple(links.tolist()), tuple(sources.tolist()))
-            )
+            name, sources = first_links[joints[0]], np.unique(chain.source[joints])
+            fingers.append(Finger(name, tuple(links.tolist()), tuple(sources.tolist())))
     return tuple(fingers)
 
 
@@ -248,7 +245,7 @@ def _find_fingers(chain: KinematicArrays, robot: Robot) -> tuple[Finger, ...]:
 
 def _build_links(robot: Robot) -> tuple[Link, ...]:
     """The links with shapes; links of equal content share one geometry."""
-    built: dict[str, tuple[TriangleMesh, SurfaceSamples, DistanceField]] = {}
+    built: dict[str, Link] = {}
     links = []
     for link in robot.links:
         if not link.shapes:
@@ -256,21 +253,11 @@ def _build_links(robot: Robot) -> tuple[Link, ...]:
         try:
             key = _content_key(link.shapes)
             if key not in built:
-                built[key] = _geometry(link.shapes, key)
+                built[key] = _build_link(link, key)
         except (InputError, OSError) as error:
             raise InputError(f'link "{link.name}": {error}') from error
-        links.append(Link(link.name, *built[key]))
+        links.append(replace(built[key], name=link.name))
     return tuple(links)
-
-
-def _bounding_spheres(links: Sequence[Link]) -> tuple[Array, Array]:
-    """Centres (L, 3) and radii (L,) [m] of spheres around the links, in their frames."""
-    centres = np.stack([link.mesh.bounds.mean(axis=0) for link in links])
-    radii = [
-        np.linalg.norm(link.mesh.vertices - centre, axis=1).max()
-        for link, centre in zip(links, centres, strict=True)
-    ]
-    return centres, np.array(radii)
 
 
 def _content_key(shapes: Sequence[Shape]) -> str:
@@ -285,12 +272,11 @@ def _content_key(shapes: Sequence[Shape]) -> str:
     return digest.hexdigest()
 
 
-def _geometry(
-    shapes: Sequence[Shape], key: str
-) -> tuple[TriangleMesh, SurfaceSamples, DistanceField]:
+def _build_link(link: UrdfLink, key: str) -> Link:
     settings = (SAMPLE_SPACING, *SAMPLE_COUNTS, VOXELS_ALONG_LINK, SMALLEST_VOXEL, FIELD_MARGIN)
-    arrays = cached(["hand link", key, *settings], lambda: _build_geometry(shapes))
-    return (
+    arrays = cached(["hand link", key, *settings], lambda: _build_geometry(link.shapes))
+    return Link(
+        link.name,
         put_together(TriangleMesh, "mesh", arrays),
         put_together(SurfaceSamples, "surface", arrays),
         put_together(DistanceField, "field", arrays),

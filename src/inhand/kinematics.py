@@ -95,8 +95,7 @@ def build_chain(robot: Robot, link_names: Sequence[str]) -> KinematicArrays:
     Raises:
         InputError: a mimic joint follows a joint that does not exist or does not move, or itself.
     """
-    movable = [joint for joint in robot.joints if joint.movable]
-    index = {joint.name: i for i, joint in enumerate(movable)}
+    movable = {joint.name: joint for joint in robot.joints if joint.movable}
     independent = {name: i for i, name in enumerate(independent_joints(robot))}
     # Frame of each link: the movable joint that carries it, and its pose in that joint's frame.
     frames: dict[str, tuple[int, Array]] = {robot.root: (-1, np.eye(4))}
@@ -107,17 +106,16 @@ def build_chain(robot: Robot, link_names: Sequence[str]) -> KinematicArrays:
         if joint.movable:
             parents.append(carrier)
             poses.append(T_carrier_child)
-            frames[joint.child] = (index[joint.name], np.eye(4))
+            frames[joint.child] = (len(parents) - 1, np.eye(4))
         else:
             frames[joint.child] = (carrier, T_carrier_child)
-    rules = [_follow_mimic(joint, {j.name: j for j in movable}) for joint in movable]
+    slides = [joint.kind == "prismatic" for joint in movable.values()]
+    rules = [_follow_mimic(joint, movable) for joint in movable.values()]
     return KinematicArrays(
         parent=np.array(parents, dtype=np.int32),
         T_parent_joint=np.stack(poses),
-        axis=np.stack([joint.axis for joint in movable]),
-        kind=np.array(
-            [PRISMATIC if joint.kind == "prismatic" else REVOLUTE for joint in movable], np.int32
-        ),
+        axis=np.stack([joint.axis for joint in movable.values()]),
+        kind=np.where(slides, PRISMATIC, REVOLUTE).astype(np.int32),
         source=np.array([independent[name] for name, _, _ in rules], dtype=np.int32),
         multiplier=np.array([multiplier for _, multiplier, _ in rules]),
         offset=np.array([offset for _, _, offset in rules]),

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -15,11 +15,13 @@ from inhand.kernels.depth import DepthRenderer, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.kinematics import Chain, pose_links
-from inhand.kernels.launch import launch, on_device
+from inhand.kernels.launch import launch, on_device, pack
 from inhand.kernels.pair_matching import PairTable
-from inhand.kinematics import KinematicArrays
+from inhand.kernels.pose_distance import Surface
 from inhand.object_model import ObjectModel
 
+COMPARED_POINTS = 24
+"""Surface samples by which two poses of an object are compared."""
 NEAREST = 1e-3
 """A body that comes nearer to the camera's plane than this may show anywhere [m]."""
 
@@ -57,7 +59,7 @@ class PackedHand:
         counts = [len(surface.points) for surface in surfaces]
         self.point_start = np.cumsum([0, *counts])
         self.link = wp.array(np.repeat(np.arange(len(counts)), counts), dtype=int, device=device)
-        self.chain = pack_chain(hand.chain, device)
+        self.chain = pack(Chain, device, **vars(hand.chain))
         self.lower, self.upper = (
             wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
         )
@@ -114,15 +116,11 @@ class PackedHand:
         if not shown.any():
             return depth
         around = [*windows[shown, :2].min(axis=0), *windows[shown, 2:].max(axis=0)]
-        launch(
-            trace_bodies,
-            (around[2] - around[0]) * (around[3] - around[1]),
-            [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
-            + [on_device(windows, wp.vec4i, self.device), wp.vec4i(*around), depth]
-            + [self._no_image if link is None else link],
-            self.device,
-            work_per_item=30,
-        )
+        pixels = (around[2] - around[0]) * (around[3] - around[1])
+        inputs = [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
+        inputs += [on_device(windows, wp.vec4i, self.device), wp.vec4i(*around), depth]
+        inputs += [self._no_image if link is None else link]
+        launch(trace_bodies, pixels, inputs, self.device, work_per_item=30)
         return depth
 
 
@@ -141,7 +139,7 @@ class PackedPart:
     def __init__(self, hand: Hand, links: Sequence[int], device: str) -> None:
         self.device, self.links = device, np.array(links)
         chain, self.joints = hand.chain.part(links)
-        self.chain, self._joint_count = pack_chain(chain, device), len(chain.parent)
+        self.chain, self._joint_count = pack(Chain, device, **vars(chain)), len(chain.parent)
         surfaces = [hand.links[i].surface for i in links]
         self.counts = np.array([len(surface.points) for surface in surfaces])
         order = np.argsort(np.concatenate([np.arange(n) for n in self.counts]), kind="stable")
@@ -163,13 +161,8 @@ class PackedPart:
         links = wp.empty(len(q) * len(self.links), dtype=wp.mat44, device=self.device)
         wrists = on_device(T_camera_hand, wp.mat44d, self.device)
         positions = on_device(q, wp.float64, self.device)
-        launch(
-            pose_links,
-            len(q),
-            [self.chain, positions, wrists, joints, links],
-            self.device,
-            work_per_item=20 * self._joint_count,
-        )
+        inputs = [self.chain, positions, wrists, joints, links]
+        launch(pose_links, len(q), inputs, self.device, work_per_item=20 * self._joint_count)
         return links
 
 
@@ -181,6 +174,7 @@ class PackedObject:
         device: Warp device name.
         fields: its distance field, `kernels.fields.Fields` with one body.
         points, normals: surface samples in progressive order, object frame, `wp.vec3`.
+        surface: what poses are compared by, `kernels.pose_distance.Surface`.
         pairs: the pair table, `kernels.pair_matching.PairTable`.
         renderer: ray caster of the object.
     """
@@ -191,22 +185,10 @@ class PackedObject:
         self.fields = pack_fields([model.distance_field], [model.mesh], device)
         self.points = wp.array(model.surface.points, dtype=wp.vec3, device=device)
         self.normals = wp.array(model.surface.normals, dtype=wp.vec3, device=device)
-        self.pairs = pairs = PairTable()
-        pairs.points, pairs.normals = self.points, self.normals
-        for name in ("cell_start", "pair_first", "pair_second"):
-            setattr(pairs, name, wp.array(getattr(model.pairs, name), dtype=int, device=device))
-        pairs.distance_step = model.pairs.distance_step
-        pairs.n_distance, pairs.n_angle = model.pairs.n_distance, model.pairs.n_angle
+        few, centre = model.surface.points[:COMPARED_POINTS], wp.vec3(*model.centre.tolist())
+        self.surface = pack(Surface, device, points=few, fields=self.fields, centre=centre)
+        self.pairs = pack(PairTable, device, **vars(model.pairs), **vars(model.surface))
         self.renderer = DepthRenderer([model.mesh], device)
-
-
-def pack_chain(arrays: KinematicArrays, device: str) -> Any:
-    """The kinematics of a hand, or of a part of it, as a kernel argument."""
-    chain = Chain()
-    members = get_type_hints(Chain.cls)  # type: ignore[attr-defined]  # of the Warp struct
-    for name, kind in members.items():
-        setattr(chain, name, wp.array(getattr(arrays, name), dtype=kind.dtype, device=device))
-    return chain
 
 
 def _windows(

@@ -63,6 +63,12 @@ class TriangleMesh:
         return np.stack([used.min(axis=0), used.max(axis=0)])
 
     @cached_property
+    def bounding_sphere(self) -> tuple[NDArray[np.float64], float]:
+        """Centre [m], shape (3,), and radius [m] of a sphere that holds every vertex."""
+        centre = (self.vertices.min(axis=0) + self.vertices.max(axis=0)) / 2
+        return centre, float(np.linalg.norm(self.vertices - centre, axis=1).max())
+
+    @cached_property
     def hull_vertices(self) -> NDArray[np.float64]:
         """Vertices of the convex hull [m], shape (k, 3); of a flat mesh, every vertex."""
         points = self.vertices[np.unique(self.faces)]
@@ -236,14 +242,9 @@ def points_on_faces(
 def _consistent_patches(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """Label of each face's patch, shape (m,): faces joined over edges that exactly two faces share
     and run along in opposite directions."""
-    start = faces.reshape(-1).astype(np.int64)
-    end = faces[:, [1, 2, 0]].reshape(-1).astype(np.int64)
-    owner = np.repeat(np.arange(len(faces)), 3)
-    edge = np.minimum(start, end) * (faces.max() + 1) + np.maximum(start, end)
-    order = np.argsort(edge, kind="stable")
-    _, first, uses = np.unique(edge[order], return_index=True, return_counts=True)
-    one, other = order[first[uses == 2]], order[first[uses == 2] + 1]
-    joined = start[one] != start[other]
-    one, other = owner[one[joined]], owner[other[joined]]
-    graph = coo_array((np.ones(len(one)), (one, other)), shape=(len(faces), len(faces)))
+    edges, owner = trimesh.geometry.faces_to_edges(faces, return_index=True)
+    pairs = trimesh.grouping.group_rows(np.sort(edges, axis=1), require_count=2)
+    one, other = pairs[edges[pairs[:, 0], 0] != edges[pairs[:, 1], 0]].T
+    joined = owner[one], owner[other]
+    graph = coo_array((np.ones(len(one)), joined), shape=(len(faces), len(faces)))
     return np.asarray(connected_components(graph, directed=False)[1])

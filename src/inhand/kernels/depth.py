@@ -122,8 +122,6 @@ class DepthRenderer:
 
 
 def bounding_sphere(mesh: TriangleMesh) -> list[float]:
-    """A sphere (centre, radius) [m] in the mesh's frame that holds the mesh."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    centre = (low + high) / 2
-    radius = float(np.linalg.norm(mesh.vertices - centre, axis=1).max())
+    """A sphere (centre, radius) [m] in the mesh's frame that holds the mesh in 32-bit numbers."""
+    centre, radius = mesh.bounding_sphere
     return [*centre.tolist(), radius * 1.0001 + 1e-6]

@@ -3,6 +3,7 @@
 import warp as wp
 
 from inhand.kernels.depth import Pinhole
+from inhand.kernels.hand_fit import DepthView
 
 RowSums = wp.types.vector(length=5, dtype=float)
 """Sums of 1, x, x^2, w and x w: readings of a row, x pixels to the right, of inverse depth w."""
@@ -15,15 +16,14 @@ def window_radius(camera: Pinhole, window: float, z: float):
 
 
 @wp.func
-def sum_row(
-    camera: Pinhole, depth: wp.array(dtype=float), i: int, z: float, window: float, gate: float
-):
+def sum_row(view: DepthView, i: int, z: float, window: float, gate: float):
     """Sums over the neighbourhood's part of pixel i's row: of the readings on a surface at `z`."""
-    radius = window_radius(camera, window, z)
-    u = i % camera.width
+    radius = window_radius(view.camera, window, z)
+    width = view.camera.width
+    u = i % width
     n, x, xx, w, xw = float(0.0), float(0.0), float(0.0), float(0.0), float(0.0)
-    for du in range(wp.max(-radius, -u), wp.min(radius, camera.width - 1 - u) + 1):
-        d = depth[i + du]
+    for du in range(wp.max(-radius, -u), wp.min(radius, width - 1 - u) + 1):
+        d = view.depth[i + du]
         if wp.abs(d - z) <= gate * window and d > 0.0:
             n += 1.0
             x += float(du)
@@ -35,8 +35,7 @@ def sum_row(
 
 @wp.kernel
 def sum_rows(
-    camera: Pinhole,
-    depth: wp.array(dtype=float),
+    view: DepthView,
     window: float,
     gate: float,
     far: float,
@@ -45,20 +44,19 @@ def sum_rows(
 ):
     """One work item a pixel: `sum_row` around it, where `fit_planes` may ask for it."""
     i = first + wp.tid()
-    if depth[i] > 0.0 and depth[i] - far <= gate * window:
-        sums[i] = sum_row(camera, depth, i, depth[i], window, gate)
+    z = view.depth[i]
+    if z > 0.0 and z - far <= gate * window:
+        sums[i] = sum_row(view, i, z, window, gate)
 
 
 @wp.kernel
 def fit_planes(
-    camera: Pinhole,
-    depth: wp.array(dtype=float),
+    view: DepthView,
     window: float,
     gate: float,
     far: float,
     sums: wp.array(dtype=RowSums),
     smooth: wp.array(dtype=float),
-    normals: wp.array(dtype=wp.vec3),
     first: int,
 ):
     """One work item a pixel: plane through its neighbourhood, by least squares in inverse depth.
@@ -68,17 +66,18 @@ def fit_planes(
     on the same surface, the row's sums are taken from there.
 
     Args (beyond the obvious):
+        view: its normals are an output, 0 where no plane could be fitted.
         window: radius of the neighbourhood [m].
         gate: neighbours whose depth differs by more are left out, per metre of window radius.
         far: pixels behind this depth are left alone [m].
         sums: result of `sum_rows`.
         smooth: out, depth of the fitted plane at the pixel [m], 0 without a reading.
-        normals: out, unit normal towards the camera, 0 where no plane could be fitted.
     """
+    camera, depth = view.camera, view.depth
     i = first + wp.tid()
     z = depth[i]
     smooth[i] = z
-    normals[i] = wp.vec3(0.0, 0.0, 0.0)
+    view.normals[i] = wp.vec3(0.0, 0.0, 0.0)
     if z <= 0.0 or z > far:
         return
     u, v = i % camera.width, i // camera.width
@@ -89,7 +88,7 @@ def fit_planes(
         j = i + dv * camera.width
         row = sums[j]
         if wp.abs(depth[j] - z) > gate * window or depth[j] <= 0.0:
-            row = sum_row(camera, depth, j, z, window, gate)
+            row = sum_row(view, j, z, window, gate)
         s += row
         s_y += float(dv) * row
         s_yy += float(dv * dv) * row[0]
@@ -106,25 +105,19 @@ def fit_planes(
     # 1/z = a (u - u0) + b (v - v0) + centre = n . ray / D for the plane n . X = D.
     at_axis = centre + a * (camera.cx - float(u)) + b * (camera.cy - float(v))
     # With D > 0 this vector points away from the camera.
-    normals[i] = -wp.normalize(wp.vec3(a * camera.fx, b * camera.fy, at_axis))
+    view.normals[i] = -wp.normalize(wp.vec3(a * camera.fx, b * camera.fy, at_axis))
 
 
 @wp.kernel
-def missing_in_rows(
-    depth: wp.array(dtype=float),
-    width: int,
-    height: int,
-    radius: int,
-    count: wp.array(dtype=int),
-    first: int,
-):
+def missing_in_rows(view: DepthView, radius: int, count: wp.array(dtype=int), first: int):
     """One work item a row: number of its pixels without a reading up to `radius` beside each."""
+    width = view.camera.width
     row = (first + wp.tid()) * width
     missing = int(0)
     for u in range(-radius, width):
-        if u + radius < width and depth[row + u + radius] <= 0.0:
+        if u + radius < width and view.depth[row + u + radius] <= 0.0:
             missing += 1
-        if u > radius and depth[row + u - radius - 1] <= 0.0:
+        if u > radius and view.depth[row + u - radius - 1] <= 0.0:
             missing -= 1
         if u >= 0:
             count[row + u] = missing
@@ -132,14 +125,7 @@ def missing_in_rows(
 
 @wp.kernel
 def missing_share(
-    depth: wp.array(dtype=float),
-    width: int,
-    height: int,
-    radius: int,
-    in_rows: wp.array(dtype=int),
-    usual: float,
-    share: wp.array(dtype=float),
-    first: int,
+    view: DepthView, radius: int, in_rows: wp.array(dtype=int), usual: float, first: int
 ):
     """One work item a column: share of pixels without a reading in the square of `radius` [pixel].
 
@@ -147,10 +133,11 @@ def missing_share(
     have holes all over, only what is missing beyond that says so.
 
     Args (beyond the obvious):
+        view: its shares of missing readings are the output, 0 at pixels with a reading.
         in_rows: result of `missing_in_rows`.
         usual: share below 1 that counts as none; from there to 1 the result goes from 0 to 1.
-        share: out, 0 at pixels with a reading.
     """
+    width, height = view.camera.width, view.camera.height
     u = first + wp.tid()
     across = wp.min(u + radius, width - 1) - wp.max(u - radius, 0) + 1
     missing = int(0)
@@ -161,8 +148,8 @@ def missing_share(
             missing -= in_rows[(v - radius - 1) * width + u]
         if v >= 0:
             i = v * width + u
-            share[i] = 0.0
-            if depth[i] <= 0.0:
+            view.missing[i] = 0.0
+            if view.depth[i] <= 0.0:
                 down = wp.min(v + radius, height - 1) - wp.max(v - radius, 0) + 1
                 found = float(missing) / float(across * down)
-                share[i] = wp.max(0.0, (found - usual) / (1.0 - usual))
+                view.missing[i] = wp.max(0.0, (found - usual) / (1.0 - usual))

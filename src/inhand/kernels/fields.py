@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from inhand.geometry.distance_field import DistanceField
 from inhand.geometry.mesh import TriangleMesh
 from inhand.kernels.depth import bounding_sphere
+from inhand.kernels.launch import pack
 
 
 @wp.struct
@@ -34,19 +35,19 @@ def pack_fields(
 ) -> Any:
     """The distance fields of meshes as one kernel argument."""
     counts = [int(np.prod(f.values.shape[:3])) for f in fields]
-    packed = Fields()
-    values = np.concatenate([f.values.reshape(-1, 4).astype(np.float16) for f in fields])
-    packed.values = wp.array(values, dtype=wp.vec4h, device=device)
-    packed.start = wp.array(np.cumsum([0, *counts[:-1]]), dtype=int, device=device)
-    packed.size = wp.array([f.values.shape[:3] for f in fields], dtype=wp.vec3i, device=device)
-    packed.origin = wp.array([f.origin for f in fields], dtype=wp.vec3, device=device)
-    packed.voxel = wp.array([f.voxel for f in fields], dtype=float, device=device)
-    boxes = [_surface_box(f) for f in fields]
-    packed.low = wp.array([low for low, _ in boxes], dtype=wp.vec3, device=device)
-    packed.high = wp.array([high for _, high in boxes], dtype=wp.vec3, device=device)
-    spheres = [bounding_sphere(mesh) for mesh in meshes]
-    packed.sphere = wp.array(spheres, dtype=wp.vec4, device=device)
-    return packed
+    low, high = zip(*map(_surface_box, fields), strict=True)
+    return pack(
+        Fields,
+        device,
+        values=np.concatenate([f.values.reshape(-1, 4).astype(np.float16) for f in fields]),
+        start=np.cumsum([0, *counts[:-1]]),
+        size=[f.values.shape[:3] for f in fields],
+        origin=[f.origin for f in fields],
+        voxel=[f.voxel for f in fields],
+        low=low,
+        high=high,
+        sphere=[bounding_sphere(mesh) for mesh in meshes],
+    )
 
 
 def _surface_box(field: DistanceField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

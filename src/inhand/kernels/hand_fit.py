@@ -82,8 +82,7 @@ def score_configurations(
     hopeless: float,
     fixed_depth: wp.array(dtype=float),
     fixed_step: int,
-    score: wp.array(dtype=float),
-    seen: wp.array(dtype=float),
+    score: wp.array(dtype=wp.vec2),
     first: int,
 ):
     """One work item a configuration: mean judgement of its camera-facing surface samples.
@@ -95,8 +94,8 @@ def score_configurations(
             that; 0 leaves none.
         fixed_depth: rendered depth [m] of the parts that do not move, at every `fixed_step`-th
             pixel; what they hide is left out.
-        score: out, mean judgement weighted by the projected area.
-        seen: out, share of the projected area that nothing hides.
+        score: out, mean judgement weighted by the projected area, and the share of the projected
+            area that nothing hides.
     """
     c = first + wp.tid()
     total = float(0.0)
@@ -123,8 +122,7 @@ def score_configurations(
         if d <= 0.0 or d > p[2] - rule.tolerance:
             open_area += facing
         total += facing * judge_point(view, rule, p, n, pixel)
-    score[c] = total / area
-    seen[c] = open_area / area
+    score[c] = wp.vec2(total, open_area) / area
 
 
 SupportSums = wp.types.vector(length=5, dtype=float)

@@ -101,9 +101,8 @@ def add_scene_terms(problem: FitProblem, state: FitState, start: int):
             continue
         facing = wp.max(0.0, wp.dot(gradient, problem.normals[i]))
         w = redescending(distance, width) * facing
-        if w <= 0.0:
-            continue
-        add_term(state, start, k, row_of(p - c, gradient), distance, w)
+        if w > 0.0:
+            add_term(state, start, k, row_of(p - c, gradient), distance, w)
 
 
 @wp.func

@@ -2,6 +2,7 @@
 
 import importlib
 import itertools
+import math
 import os
 import pkgutil
 import threading
@@ -9,9 +10,10 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from functools import cache, partial
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 import warp as wp
+from numpy.typing import NDArray
 
 import inhand.kernels
 from inhand.errors import InputError
@@ -77,6 +79,28 @@ def launch(
     prepare(kernel, dim, inputs, device, work_per_item=work_per_item)()
 
 
+def computed(
+    kernel: Any,
+    shape: tuple[int, ...],
+    dtype: Any,
+    inputs: Sequence[Any],
+    device: str,
+    *,
+    work_per_item: int = 1,
+) -> NDArray[Any]:
+    """What `launch` makes of a kernel that finds one value a work item.
+
+    Args (beyond those of `launch`):
+        kernel: its last parameter before `first` is the flat array for the values.
+        shape: of the work items and the values.
+        dtype: Warp type of the values.
+    """
+    out = wp.empty(math.prod(shape), dtype=dtype, device=device)
+    launch(kernel, len(out), [*inputs, out], device, work_per_item=work_per_item)
+    values: NDArray[Any] = out.numpy()
+    return values.reshape(*shape, *values.shape[1:])
+
+
 def prepare(
     kernel: Any, dim: int, inputs: Sequence[Any], device: str, *, work_per_item: int = 1
 ) -> Callable[[], None]:
@@ -125,6 +149,17 @@ def on_device(values: Any, dtype: Any, device: str) -> Any:
     Without the copy it takes 4 us instead of 11, a hundred times an image.
     """
     return wp.array(values, dtype=dtype, device=device, copy=False)
+
+
+def pack(struct: Any, device: str, **values: Any) -> Any:
+    """A Warp struct on a device; values that it has no member for are left out."""
+    filled = struct()
+    for name, kind in get_type_hints(struct.cls).items():
+        value = values[name]
+        if isinstance(kind, wp.array):
+            value = wp.array(value, dtype=kind.dtype, device=device)
+        setattr(filled, name, value)
+    return filled
 
 
 def resolve_device(device: str | None) -> str:

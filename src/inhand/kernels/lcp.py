@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields, field_at
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import computed
 from inhand.kernels.transforms import to_local
 
 
@@ -56,7 +56,6 @@ def pose_lcp(
         normal_angle: largest angle between the normals of point and model [rad].
         device: Warp device name.
     """
-    share = wp.empty(len(T_camera_model), dtype=float, device=device)
     inputs = [
         wp.array(T_camera_model, dtype=wp.mat44, device=device),
         wp.array(points, dtype=wp.vec3, device=device),
@@ -64,12 +63,9 @@ def pose_lcp(
         fields,
         distance,
         float(np.cos(normal_angle)),
-        share,
     ]
-    launch(
-        count_points_on_model, len(T_camera_model), inputs, device, work_per_item=2 * len(points)
-    )
-    return np.asarray(share.numpy())
+    shape, work = (len(T_camera_model),), 2 * len(points)
+    return computed(count_points_on_model, shape, float, inputs, device, work_per_item=work)
 
 
 @wp.struct

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import computed, launch
 
 DEVICE = "cpu"
 DIRECTIONS = 32
@@ -143,18 +143,11 @@ def open_directions(
         normals: unit normals, shape (n, 3).
         diameter: of the mesh [m].
     """
-    counts = wp.zeros(len(points), dtype=int, device=DEVICE)
-    inputs = [
-        mesh.id,
-        wp.array(points, dtype=wp.vec3, device=DEVICE),
-        wp.array(normals, dtype=wp.vec3, device=DEVICE),
-        wp.array(_opposite_directions(), dtype=wp.vec3, device=DEVICE),
-        1e-4 * diameter,
-        2.0 * diameter,
-        counts,
-    ]
-    launch(count_open_directions, len(points), inputs, DEVICE, work_per_item=50 * DIRECTIONS)
-    return np.asarray(counts.numpy())
+    vectors = (points, normals, _opposite_directions())
+    arrays = [wp.array(x, dtype=wp.vec3, device=DEVICE) for x in vectors]
+    inputs = [mesh.id, *arrays, 1e-4 * diameter, 2.0 * diameter]
+    shape, work = (len(points),), 50 * DIRECTIONS
+    return computed(count_open_directions, shape, int, inputs, DEVICE, work_per_item=work)
 
 
 def _opposite_directions() -> NDArray[np.float64]:
@@ -184,12 +177,9 @@ def signed_distance_grid(
         shape: number of voxels along x, y, z.
         reach: no voxel is farther than this from the surface [m].
     """
-    count = int(np.prod(shape))
-    values = wp.zeros(count, dtype=wp.vec4, device=DEVICE)
     corner, lower, upper = (wp.vec3(*map(float, x)) for x in (origin, *bounds))
-    inputs = [mesh.id, corner, voxel, shape[1], shape[2], lower, upper, reach, values]
-    launch(fill_distance_field, count, inputs, DEVICE, work_per_item=1000)
-    return np.asarray(values.numpy().reshape(*shape, 4))
+    inputs = [mesh.id, corner, voxel, shape[1], shape[2], lower, upper, reach]
+    return computed(fill_distance_field, shape, wp.vec4, inputs, DEVICE, work_per_item=1000)
 
 
 def closest_points(

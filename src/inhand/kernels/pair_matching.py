@@ -76,12 +76,11 @@ def match_pairs(
     d = p2 - p1
     length = wp.length(d)
     direction = d / wp.max(length, 1.0e-9)
-    angle_step = 3.14159265 / float(table.n_angle)
-    top = table.n_angle - 1
-    f0 = length / table.distance_step
-    f1 = angle_between(n1, direction) / angle_step
-    f2 = angle_between(n2, direction) / angle_step
-    f3 = angle_between(n1, n2) / angle_step
+    steps = length / table.distance_step
+    angles = wp.vec3(
+        angle_between(n1, direction), angle_between(n2, direction), angle_between(n1, n2)
+    )
+    angle_steps = angles / (3.14159265 / float(table.n_angle))
     # The mean of opposed normals says little; model and scene must agree on what takes its place.
     turn = opposed(p1, n1, p2, n2)
     scene = pair_frame(p1, n1, p2, n2, turn)
@@ -89,14 +88,13 @@ def match_pairs(
     for m in range(matches):
         T_camera_object[k * matches + m] = wp.mat44()
         state = wp.rand_init(seed, k * matches + m)
-        c0 = int(wp.floor(f0 + wp.randf(state) - 0.5))
-        # Angles are mirrored at 0 and pi.
-        c1 = wp.clamp(int(wp.floor(f1 + wp.randf(state) - 0.5)), 0, top)
-        c2 = wp.clamp(int(wp.floor(f2 + wp.randf(state) - 0.5)), 0, top)
-        c3 = wp.clamp(int(wp.floor(f3 + wp.randf(state) - 0.5)), 0, top)
-        if c0 < 1 or c0 >= table.n_distance:
+        cell = int(wp.floor(steps + wp.randf(state) - 0.5))
+        if cell < 1 or cell >= table.n_distance:
             continue
-        cell = ((c0 * table.n_angle + c1) * table.n_angle + c2) * table.n_angle + c3
+        for a in range(3):
+            # Angles are mirrored at 0 and pi.
+            step = int(wp.floor(angle_steps[a] + wp.randf(state) - 0.5))
+            cell = cell * table.n_angle + wp.clamp(step, 0, table.n_angle - 1)
         start = table.cell_start[cell]
         count = table.cell_start[cell + 1] - start
         if count <= 0:

@@ -6,29 +6,33 @@ from inhand.kernels.fields import Fields, field_at
 from inhand.kernels.transforms import to_local
 
 
+@wp.struct
+class Surface:
+    """The surface whose poses are compared, object frame."""
+
+    points: wp.array(dtype=wp.vec3)
+    """Samples of it [m]."""
+    fields: Fields
+    """Its distance field, one body."""
+    centre: wp.vec3
+    """Centre of the model [m]."""
+
+
 @wp.func
-def distance_between(
-    T_a: wp.mat44,
-    T_b: wp.mat44,
-    points: wp.array(dtype=wp.vec3),
-    n_points: int,
-    fields: Fields,
-    centre: wp.vec3,
-    farthest: float,
-    limit: float,
-):
+def distance_between(surface: Surface, T_a: wp.mat44, T_b: wp.mat44, farthest: float, limit: float):
     """Mean distance [m] of the surface at `T_a` to the model at `T_b`.
 
     It is `farthest` where the centres lie farther apart than that, and anything above `limit`
     where it is above. No symmetry has to be known: symmetric poses have the same surface.
     """
-    apart = wp.transform_point(T_a, centre) - wp.transform_point(T_b, centre)
+    apart = wp.transform_point(T_a, surface.centre) - wp.transform_point(T_b, surface.centre)
     if wp.length(apart) > farthest:
         return farthest
+    n_points = surface.points.shape[0]
     total = float(0.0)
     for s in range(n_points):
-        p = wp.transform_point(T_a, points[s])
-        total += wp.abs(field_at(fields, 0, to_local(T_b, p))[0])
+        p = wp.transform_point(T_a, surface.points[s])
+        total += wp.abs(field_at(surface.fields, 0, to_local(T_b, p))[0])
         if total > limit * float(n_points):
             break
     return total / float(n_points)
@@ -36,12 +40,9 @@ def distance_between(
 
 @wp.kernel
 def surface_distances(
+    surface: Surface,
     T_a: wp.array(dtype=wp.mat44),
     T_b: wp.mat44,
-    points: wp.array(dtype=wp.vec3),
-    n_points: int,
-    fields: Fields,
-    centre: wp.vec3,
     farthest: float,
     distance: wp.array(dtype=float),
     first: int,
@@ -49,26 +50,19 @@ def surface_distances(
     """One work item a pose of `T_a`: mean distance [m] of its surface to the model posed at `T_b`.
 
     Args (beyond the obvious):
-        points: surface samples, object frame; the first `n_points` are used.
-        centre: centre of the model, object frame [m].
         farthest: poses whose centres lie farther apart get this [m].
     """
     i = first + wp.tid()
-    distance[i] = distance_between(
-        T_a[i], T_b, points, n_points, fields, centre, farthest, farthest
-    )
+    distance[i] = distance_between(surface, T_a[i], T_b, farthest, farthest)
 
 
 @wp.kernel
 def compare_poses(
+    surface: Surface,
     T: wp.array(dtype=wp.mat44),
     others: wp.array(dtype=int),
     n_chosen: int,
     begin: int,
-    points: wp.array(dtype=wp.vec3),
-    n_points: int,
-    fields: Fields,
-    centre: wp.vec3,
     near: float,
     alike: wp.array2d(dtype=int),
     first: int,
@@ -84,11 +78,9 @@ def compare_poses(
     """
     i = first + wp.tid()
     own = T[begin + i]
+    farthest = wp.max(3.0 * near, 0.001)
     for k in range(n_chosen + i):
-        apart = distance_between(
-            own, T[others[k]], points, n_points, fields, centre, wp.max(3.0 * near, 0.001), near
-        )
-        if apart <= near:
+        if distance_between(surface, own, T[others[k]], farthest, near) <= near:
             alike[i, k] = 1
             if k < n_chosen:
                 return

@@ -90,27 +90,25 @@ class ArticulatedFit:
             widths: width of the redescending weight in every iteration [m].
             stride: every so-many-th point takes part.
         """
-        problem, state = self._start(q, T_camera_hand, widths, stride)
+        state = self._start(q, T_camera_hand, widths, stride)
+        inputs = [self.problem, state]
         work = len(widths) * self._work(stride)
-        inputs = [problem, state]
         launch(kernels.refine_states, len(q), inputs, self.hand.device, work_per_item=work)
         return state.q.numpy(), state.T_camera_hand.numpy()
 
     def begin(self, q: Array, T_camera_hand: Array, width: float, stride: int) -> "FitInProgress":
         """A refinement that is done step by step; arguments as `refine`, of one width."""
-        problem, state = self._start(q, T_camera_hand, np.array([width]), stride)
-        inputs, work = [problem, state], self._work(stride)
-        assemble = prepare(
-            kernels.assemble_systems, len(q), inputs, self.hand.device, work_per_item=work
-        )
+        state = self._start(q, T_camera_hand, np.array([width]), stride)
+        kernel, inputs, work = kernels.assemble_systems, [self.problem, state], self._work(stride)
+        assemble = prepare(kernel, len(q), inputs, self.hand.device, work_per_item=work)
         return FitInProgress(state, assemble)
 
     def _work(self, stride: int) -> int:
         """Rough number of operations of one iteration of one start."""
         return (10 * len(self.problem.points) + 4 * len(self.problem.hand_points)) // stride
 
-    def _start(self, q: Array, T_camera_hand: Array, widths: Array, stride: int) -> tuple[Any, Any]:
-        """Arguments of the kernels, for a refinement that is still to be done."""
+    def _start(self, q: Array, T_camera_hand: Array, widths: Array, stride: int) -> Any:
+        """State of a refinement that is still to be done; completes the problem."""
         hand, device, starts, parameters = self.hand, self.hand.device, len(q), 6 + q.shape[1]
         links, joints = len(hand.hand.links), len(hand.hand.chain.parent)
         empty = partial(wp.empty, device=device)
@@ -129,7 +127,7 @@ class ArticulatedFit:
         state.twists = empty((starts, joints), dtype=Twist)
         state.H = empty((starts, parameters, parameters), dtype=wp.float64)
         state.g = empty((starts, parameters), dtype=wp.float64)
-        return problem, state
+        return state
 
 
 def whole_hand_fit(

@@ -7,15 +7,13 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import ClusteringConfig
-from inhand.kernels.launch import launch, on_device
+from inhand.kernels.launch import computed, launch, on_device
 from inhand.kernels.pose_distance import compare_poses, surface_distances
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.evidence import Evidence, score_with_contact
 from inhand.stages.results import PoseSet
 from inhand.stages.se3_clustering import cluster_se3
 
-SAMPLES = 24
-"""Surface samples by which two poses are compared."""
 BLOCK = 64
 """So many poses at a time are compared with those that are kept."""
 
@@ -50,14 +48,9 @@ def distinct_poses(poses: PoseSet, obj: PackedObject, distance: float, keep: int
         block = np.arange(begin, min(begin + BLOCK, len(ranked)), dtype=np.int32)
         others = np.concatenate([chosen, block])
         alike = wp.zeros((len(block), len(others)), dtype=int, device=obj.device)
-        launch(
-            compare_poses,
-            len(block),
-            [T, on_device(others, int, obj.device), len(chosen), begin]
-            + [*_surface(obj), distance, alike],
-            obj.device,
-            work_per_item=4 * len(others),
-        )
+        others_there = on_device(others, int, obj.device)
+        inputs = [obj.surface, T, others_there, len(chosen), begin, distance, alike]
+        launch(compare_poses, len(block), inputs, obj.device, work_per_item=4 * len(others))
         same = alike.numpy() > 0
         fresh = ~same[:, : len(chosen)].any(axis=1)
         for i, others_like_it in enumerate(same[:, len(chosen) :].T):
@@ -78,13 +71,6 @@ def surface_distances_to(
         obj: the object.
         farthest: larger distances are cut off here [m].
     """
-    out = wp.empty(len(T_camera_object), dtype=float, device=obj.device)
-    inputs = [device_poses(T_camera_object, obj.device), wp.mat44(*T.reshape(-1).tolist())]
-    inputs += [*_surface(obj), farthest, out]
-    launch(surface_distances, len(out), inputs, obj.device, work_per_item=5)
-    return np.asarray(out.numpy())
-
-
-def _surface(obj: PackedObject) -> list[Any]:
-    """What the kernels that compare poses know of the object."""
-    return [obj.points, SAMPLES, obj.fields, wp.vec3(*obj.model.centre.tolist())]
+    poses: Any = device_poses(T_camera_object, obj.device), wp.mat44(*T.reshape(-1).tolist())
+    shape, inputs = (len(T_camera_object),), [obj.surface, *poses, farthest]
+    return computed(surface_distances, shape, float, inputs, obj.device, work_per_item=5)

@@ -17,7 +17,7 @@ from inhand.kernels.congruent_sets import (
     match_pairs,
     sample_bases,
 )
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import computed, launch
 from inhand.packed import PackedObject
 from inhand.stages.lcp import segment_lcp
 from inhand.stages.results import PoseSet, Segment
@@ -140,16 +140,14 @@ class CongruentSetSearch:
 
     def align(self, bases: Bases, sets: CongruentSets) -> NDArray[np.float32]:
         """T_camera_object, shape (s, 4, 4), that takes every congruent set to its base."""
-        poses = self._empty(len(sets.base), wp.mat44)
         inputs = [
             self.points,
             wp.array(bases.points[sets.base], dtype=wp.vec4i, device=self.device),
             self.model.points,
             wp.array(sets.points, dtype=wp.vec4i, device=self.device),
-            poses,
         ]
-        launch(align_quadruples, len(sets.base), inputs, self.device, work_per_item=100)
-        return np.asarray(poses.numpy())
+        shape = (len(sets.base),)
+        return computed(align_quadruples, shape, wp.mat44, inputs, self.device, work_per_item=100)
 
     def _find_pairs(
         self, base: Any, ratios: NDArray[np.float32]

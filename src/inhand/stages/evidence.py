@@ -1,20 +1,31 @@
 """What object poses are held against: the image, the rendered hand and the object segment."""
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from inhand.config import EvidenceConfig
+from inhand.config import (
+    ClusteringConfig,
+    EvidenceConfig,
+    HypothesesConfig,
+    RefinementConfig,
+    SelectionConfig,
+)
 from inhand.kernels.contact import link_clearances
-from inhand.kernels.launch import launch, on_device
+from inhand.kernels.launch import computed, on_device
 from inhand.kernels.object_fit import ObjectEvidence, score_poses
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.hand_visibility import visibility_rule
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment
+
+Samples = HypothesesConfig | ClusteringConfig | RefinementConfig | SelectionConfig
+"""A section of the configuration that says how finely poses are scored: `model_points` and about
+`segment_points` are held against each other and the image, with depth agreement `tolerance`, and
+`contact_points` of the model against the hand."""
 
 
 @dataclass(frozen=True)
@@ -35,26 +46,6 @@ class Evidence:
     def stride(self, points: int) -> int:
         """Every so-many-th segment point makes up about `points`."""
         return max(1, len(self.segment_weights) // points)
-
-
-class Samples(Protocol):
-    """How finely poses are scored; the sections of the configuration that say it are such."""
-
-    @property
-    def model_points(self) -> int:
-        """Model points that are held against the image."""
-
-    @property
-    def segment_points(self) -> int:
-        """About how many segment points are held against the model."""
-
-    @property
-    def contact_points(self) -> int:
-        """Model points that are held against the hand."""
-
-    @property
-    def tolerance(self) -> float:
-        """Depth agreement of a model point with its pixel [m]."""
 
 
 def gather_evidence(
@@ -106,21 +97,15 @@ def agreement(
         worth: poses that score less together get some scores whose sum is below this.
         near: a segment point this near to the model is explained [m]; by default as configured.
     """
-    out: Any = wp.empty(len(T_camera_object), dtype=wp.vec2, device=obj.device)
     config = evidence.config
     rule = visibility_rule(config, samples.tolerance)
     stride = evidence.stride(samples.segment_points)
     weights = evidence.segment_weights[::stride]
     n = min(samples.model_points, len(obj.points))
-    launch(
-        score_poses,
-        len(out),
-        [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
-        + [near or config.near, stride, float(weights.sum()) + 1e-6, worth, out],
-        obj.device,
-        work_per_item=4 * (n + len(weights)),
-    )
-    return np.asarray(out.numpy())
+    inputs = [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
+    inputs += [near or config.near, stride, float(weights.sum()) + 1e-6, worth]
+    shape, work = (len(T_camera_object),), 4 * (n + len(weights))
+    return computed(score_poses, shape, wp.vec2, inputs, obj.device, work_per_item=work)
 
 
 def score_with_contact(
@@ -194,10 +179,7 @@ def clearances(
         hand, hand_state: the hand and where it is.
         farthest: larger distances are cut off here [m].
     """
-    device, count, links = obj.device, len(T_camera_object), len(hand.hand.links)
-    points = min(points, len(obj.points))
-    clearance = wp.empty(count * links, dtype=float, device=device)
-    inputs = [T_camera_object, obj.points, points, hand.fields]
-    inputs += [device_poses(hand_state.T_camera_link, device), farthest, clearance]
-    launch(link_clearances, count * links, inputs, device, work_per_item=4 * points)
-    return np.asarray(clearance.numpy().reshape(count, links))
+    n, poses = min(points, len(obj.points)), device_poses(hand_state.T_camera_link, obj.device)
+    inputs = [T_camera_object, obj.points, n, hand.fields, poses, farthest]
+    shape = len(T_camera_object), len(hand.hand.links)
+    return computed(link_clearances, shape, float, inputs, obj.device, work_per_item=4 * n)

@@ -36,8 +36,6 @@ class FingerSearch:
         self.scale[slides] = config.slide_scale
         self.camera = observation.camera.subsampled(config.render_step)
         self.visibility = HandVisibility(observation, hand, config)
-        self._coarse = config.coarse_tolerance, config.coarse_points
-        self._fine = config.fine_tolerance, config.fine_points
         self._palm_depth: Any = None
 
     def alternatives(
@@ -53,7 +51,7 @@ class FingerSearch:
         there = self._palm(q, T_camera_hand)
         found = [configurations(f, self.hand, self.config.samples) for f in fingers]
         scores = [
-            self._score(finger, tried, T_camera_hand[None], there, self._coarse)
+            self._score(finger, tried, T_camera_hand[None], there, fine=False)
             for finger, tried in zip(fingers, found, strict=True)
         ]
         order = np.argsort([-score.max() for score in scores])
@@ -63,7 +61,7 @@ class FingerSearch:
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
                 tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
-                score = self._score(fingers[i], tried, T_camera_hand[None], there, self._coarse)
+                score = self._score(fingers[i], tried, T_camera_hand[None], there, fine=False)
             best = np.argsort(-score, kind="stable")[: self.config.allowed]
             allowed[i] = Configurations(tried[best], score[best])
             found[i] = self._look_around(fingers[i], tried, score, T_camera_hand, there, rng)
@@ -78,7 +76,7 @@ class FingerSearch:
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
         fingers, there = self.packed.fingers, self._palm(q[0], T_camera_hand[0])
-        alone = [self._score(f, q[:, f.joints], T_camera_hand, there, self._fine) for f in fingers]
+        alone = [self._score(f, q[:, f.joints], T_camera_hand, there, fine=True) for f in fingers]
         best = np.sum(alone, axis=0).argmax()
         T, combined = T_camera_hand[best], q[best].copy()
         order = np.argsort([-score.max() for score in alone])
@@ -86,19 +84,16 @@ class FingerSearch:
             joints, score = fingers[i].joints, alone[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(combined, T))
-                score = self._score(fingers[i], q[:, joints], T_camera_hand, there, self._fine)
+                score = self._score(fingers[i], q[:, joints], T_camera_hand, there, fine=True)
             combined[joints] = q[score.argmax(), joints]
         return combined, T
 
     def _score(
-        self,
-        finger: PackedPart,
-        joints: Array,
-        T_camera_hand: Array,
-        others: Any,
-        rule: tuple[float, int],
+        self, finger: PackedPart, joints: Array, T_camera_hand: Array, others: Any, *, fine: bool
     ) -> Array:
-        """Scores (c,) beside what else is there; `rule`: depth agreement [m] and samples a link."""
+        """Scores (c,) beside what else is there, by the fine or the coarse rule."""
+        c = self.config
+        rule = (c.fine_tolerance, c.fine_points) if fine else (c.coarse_tolerance, c.coarse_points)
         return self.visibility.score(finger, joints, T_camera_hand, others, *rule)[0]
 
     def _look_around(
@@ -121,7 +116,7 @@ class FingerSearch:
         around = centres[:, None] + spread * scale
         around = np.clip(around, self.hand.lower[joints], self.hand.upper[joints])
         flat = around.reshape(-1, len(joints))
-        score = self._score(finger, flat, T_camera_hand[None], others, self._fine)
+        score = self._score(finger, flat, T_camera_hand[None], others, fine=True)
         score = score.reshape(len(centres), -1)
         best = around[np.arange(len(centres)), score.argmax(axis=1)]
         return best[np.argsort(-score.max(axis=1))]

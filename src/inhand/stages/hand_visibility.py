@@ -8,9 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import EvidenceConfig, HandStateConfig
-from inhand.kernels import hand_fit
-from inhand.kernels.hand_fit import Visibility, link_support, score_configurations
-from inhand.kernels.launch import launch
+from inhand.kernels.hand_fit import SupportSums, Visibility, link_support, score_configurations
+from inhand.kernels.launch import computed
 from inhand.packed import PackedHand, PackedPart, device_poses
 from inhand.stages.observation import Observation
 
@@ -53,21 +52,16 @@ class HandVisibility:
             tolerance: depth agreement [m], by default the fine one; more if the image is noisy.
             points: surface samples of every link that are used at most.
         """
-        device, config, count = part.device, self._config, len(q)
+        config = self._config
         rule = visibility_rule(config, max(tolerance or config.fine_tolerance, self._noise))
         samples = int(np.minimum(part.counts, points or part.counts).sum())
-        score, seen = (wp.empty(count, dtype=float, device=device) for _ in range(2))
-        launch(
-            score_configurations,
-            count,
-            [self._view, rule, part.pose(q, T_camera_hand), len(part.links), part.points]
-            + [part.normals, part.link, samples, config.early_points * len(part.links)]
-            + [config.hopeless, self._nothing if others is None else others, config.render_step]
-            + [score, seen],
-            device,
-            work_per_item=2 * samples,
-        )
-        return score.numpy().astype(np.float64), seen.numpy().astype(np.float64)
+        inputs = [self._view, rule, part.pose(q, T_camera_hand), len(part.links), part.points]
+        inputs += [part.normals, part.link, samples, config.early_points * len(part.links)]
+        inputs += [config.hopeless, self._nothing if others is None else others, config.render_step]
+        shape, work = (len(q),), 2 * samples
+        kernel, device = score_configurations, part.device
+        scores = computed(kernel, shape, wp.vec2, inputs, device, work_per_item=work)
+        return scores[:, 0].astype(np.float64), scores[:, 1].astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -101,17 +95,12 @@ def hand_support(
     coarse = observation.camera.subsampled(config.render_step)
     shown = wp.full(coarse.width * coarse.height, -1, dtype=int, device=device)
     depth = hand.render(coarse, T_camera_link, np.ones(count, dtype=bool), link=shown)
-    sums = wp.empty(count, dtype=hand_fit.SupportSums, device=device)
-    launch(
-        link_support,
-        count,
-        [observation.view, rule, device_poses(T_camera_link, device), hand.points]
-        + [hand.normals, start, config.fine_points, hand.fields, hand.apart]
-        + [depth, shown, config.render_step, sums],
-        device,
-        work_per_item=config.fine_points,
-    )
-    area, score, seen, other_score, other_seen = sums.numpy().astype(np.float64).T
+    inputs = [observation.view, rule, device_poses(T_camera_link, device), hand.points]
+    inputs += [hand.normals, start, config.fine_points, hand.fields, hand.apart]
+    inputs += [depth, shown, config.render_step]
+    work = config.fine_points
+    sums = computed(link_support, (count,), SupportSums, inputs, device, work_per_item=work)
+    area, score, seen, other_score, other_seen = sums.astype(np.float64).T
     least = config.min_seen * area
     whole = (score + other_score).sum() / max((seen + other_seen).sum(), least.sum())
     return Support(score / np.maximum(seen, least), float(whole))

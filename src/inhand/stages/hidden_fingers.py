@@ -1,13 +1,12 @@
 """Fingers that the image does not show, placed against the object."""
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import SelectionConfig
 from inhand.geometry.se3 import Array
 from inhand.kernels.contact import configuration_clearances
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import computed
 from inhand.packed import PackedObject, PackedPart, device_poses
 from inhand.stages.evidence import Evidence, gap_cost, penetration_cost
 from inhand.stages.results import PoseSet
@@ -59,17 +58,11 @@ def _clearances(
     config: SelectionConfig,
 ) -> NDArray[np.float32]:
     """Smallest signed distances [m], (m, c), of a finger at joints (c, k) to posed objects."""
-    device, c, m = obj.device, evidence.config, len(T_camera_object)
+    device, c = obj.device, evidence.config
     samples = int(np.minimum(finger.counts, config.finger_points).sum())
     links = finger.pose(joints, evidence.hand_state.T_camera_hand[None])
-    clearance = wp.empty(m * len(joints), dtype=float, device=device)
-    launch(
-        configuration_clearances,
-        m * len(joints),
-        [device_poses(T_camera_object, device), obj.fields, links, len(finger.links)]
-        + [len(joints), finger.points, finger.link, samples]
-        + [c.free_finger_gap + c.finger_gap_scale, clearance],
-        device,
-        work_per_item=4 * samples,
-    )
-    return np.asarray(clearance.numpy().reshape(m, len(joints)))
+    inputs = [device_poses(T_camera_object, device), obj.fields, links, len(finger.links)]
+    inputs += [len(joints), finger.points, finger.link, samples]
+    inputs += [c.free_finger_gap + c.finger_gap_scale]
+    shape, work = (len(T_camera_object), len(joints)), 4 * samples
+    return computed(configuration_clearances, shape, float, inputs, device, work_per_item=work)

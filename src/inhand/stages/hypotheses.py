@@ -38,9 +38,15 @@ def generate_hypotheses(
     """
     if config.method == "congruent_sets":
         return generate_from_congruent_sets(segment, obj, config, rng)
-    a, b = _sample_pairs(segment, obj, config, rng)
-    drawn = _match(segment, obj, a, b, config, int(rng.integers(2**31))).numpy()
-    poses = drawn[drawn[:, 3, 3] > 0]
+    device, matches = obj.device, config.matches
+    pairs = _sample_pairs(segment, obj, config, rng)
+    drawn: Any = wp.empty(len(pairs[0]) * matches, dtype=wp.mat44, device=device)
+    inputs = [on_device(x, wp.vec3, device) for x in (segment.points, segment.normals)]
+    inputs += [on_device(index, int, device) for index in pairs]
+    inputs += [obj.pairs, matches, int(rng.integers(2**31)), drawn]
+    launch(match_pairs, len(pairs[0]), inputs, device, work_per_item=10 * matches)
+    poses = drawn.numpy()
+    poses = poses[poses[:, 3, 3] > 0]  # an empty draw is a zero matrix
     if not len(poses):
         raise NoAnswer("no part of the object segment matches the object's shape")
     return _best(poses, evidence, obj, config)
@@ -54,7 +60,6 @@ def _best(
     A part of them tells what the worst of these will score; what is certain to score less is left
     on the way there.
     """
-
     part = score_with_contact(evidence, obj, poses[::PART], config)
     expected = config.keep / PART
     enough = int(expected + 2 * math.sqrt(expected))
@@ -84,21 +89,3 @@ def _sample_pairs(
     b = b[np.arange(n), best]
     usable = (width[np.arange(n), best] < diameter) & (a != b)
     return a[usable].astype(np.int32), b[usable].astype(np.int32)
-
-
-def _match(
-    segment: Segment,
-    obj: PackedObject,
-    a: NDArray[np.int32],
-    b: NDArray[np.int32],
-    config: HypothesesConfig,
-    seed: int,
-) -> Any:
-    """Poses from the pair table on the device; empty draws are zero matrices."""
-    device, matches = obj.device, config.matches
-    poses = wp.empty(len(a) * matches, dtype=wp.mat44, device=device)
-    inputs = [on_device(x, wp.vec3, device) for x in (segment.points, segment.normals)]
-    inputs += [on_device(pair, int, device) for pair in (a, b)]
-    inputs += [obj.pairs, matches, seed, poses]
-    launch(match_pairs, len(a), inputs, device, work_per_item=10 * matches)
-    return poses

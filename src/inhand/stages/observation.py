@@ -15,7 +15,7 @@ from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
 from inhand.kernels.depth_image import RowSums, fit_planes, missing_in_rows, missing_share, sum_rows
 from inhand.kernels.hand_fit import DepthView
-from inhand.kernels.launch import launch, on_device
+from inhand.kernels.launch import computed, launch, on_device
 
 NEAREST = 1e-3
 """Smaller depths are no readings [m]; their inverses would overflow."""
@@ -127,8 +127,10 @@ def observe(
     view = DepthView()
     view.camera = pinhole(roi)
     view.depth = on_device(window.reshape(-1), float, device)
-    smooth, view.normals = _surfaces(view.camera, view.depth, far, config)
-    view.missing = _missing_share(view.camera, view.depth, config.missing_window)
+    view.normals = wp.empty(window.size, dtype=wp.vec3, device=device)
+    view.missing = wp.empty(window.size, dtype=float, device=device)
+    smooth = _find_surfaces(view, far, config)
+    _find_missing(view, config.missing_window)
     distance = float((window * inside).sum()) / count
     step = max(1, round(config.point_spacing * roi.fx / distance))
     cloud = _cloud(smooth, view, roi, (centre, radius), (slice(step // 2, None, step),) * 2)
@@ -161,30 +163,27 @@ def _noise(depth: NDArray[np.float32], inside: NDArray[np.bool_], apart: int) ->
     return float(1.4826 / np.sqrt(6) * np.median(np.abs(bend))) if len(bend) else 0.0
 
 
-def _surfaces(camera: Any, depth: Any, far: float, config: ObservationConfig) -> tuple[Any, Any]:
-    """Smoothed depth [m], shape (h, w), and normals on the device, flat, 0 where there are none."""
-    device, kinds = str(depth.device), (RowSums, float, wp.vec3)
-    sums, smooth, normals = (wp.empty(len(depth), dtype=kind, device=device) for kind in kinds)
-    inputs = [camera, depth, config.normal_window, config.normal_gate, far, sums]
-    launch(sum_rows, len(depth), inputs, device, work_per_item=10)
-    launch(fit_planes, len(depth), [*inputs, smooth, normals], device, work_per_item=25)
-    return smooth.numpy().reshape(camera.height, camera.width), normals
+def _find_surfaces(view: Any, far: float, config: ObservationConfig) -> NDArray[np.float32]:
+    """Fill in the normals of the view; smoothed depth [m], shape (h, w)."""
+    device, shape = str(view.depth.device), (view.camera.height, view.camera.width)
+    sums = wp.empty(len(view.depth), dtype=RowSums, device=device)
+    inputs = [view, config.normal_window, config.normal_gate, far, sums]
+    launch(sum_rows, len(sums), inputs, device, work_per_item=10)
+    return computed(fit_planes, shape, float, inputs, device, work_per_item=25)
 
 
-def _missing_share(camera: Any, depth: Any, radius: int) -> Any:
-    """Share of missing readings around every pixel without one, flat, on the device.
+def _find_missing(view: Any, radius: int) -> None:
+    """Fill in the share of missing readings around every pixel of the view without one.
 
     It counts from what is usual around pixels with a reading.
     """
-    device = str(depth.device)
-    in_rows, share = (wp.empty(len(depth), dtype=kind, device=device) for kind in (int, float))
-    rows = [depth, camera.width, camera.height, radius, in_rows]
-    launch(missing_in_rows, camera.height, rows, device, work_per_item=2 * camera.width)
-    around, reading = in_rows.numpy()[::EVERY], depth.numpy()[::EVERY] > 0
+    device, width, height = str(view.depth.device), view.camera.width, view.camera.height
+    in_rows = wp.empty(len(view.depth), dtype=int, device=device)
+    inputs = [view, radius, in_rows]
+    launch(missing_in_rows, height, inputs, device, work_per_item=2 * width)
+    around, reading = in_rows.numpy()[::EVERY], view.depth.numpy()[::EVERY] > 0
     usual = float(np.median(around[reading])) / (2 * radius + 1)
-    columns = [*rows, usual, share]
-    launch(missing_share, camera.width, columns, device, work_per_item=2 * camera.height)
-    return share
+    launch(missing_share, width, [*inputs, usual], device, work_per_item=2 * height)
 
 
 def _window(

@@ -9,7 +9,7 @@ from inhand.config import SelectionConfig
 from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
 from inhand.kernels.discrepancy import EMPTY, depth_discrepancy
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import computed
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.lcp import segment_lcp
 from inhand.stages.observation import Observation
@@ -51,7 +51,6 @@ def depth_discrepancies(
     view = camera.subsampled(step)
     observed = _observed(observation, hand, obj, step, config)
     hand_depth, _ = hand.renderer.render_on_device(view, hand_state.T_camera_link)
-    total = wp.empty(len(poses) * view.height, dtype=float, device=device)
     inputs = [
         pinhole(view),
         wp.array(observed.reshape(-1), dtype=float, device=device),
@@ -60,11 +59,11 @@ def depth_discrepancies(
         obj.renderer.spheres,
         device_poses(poses.T_camera_object, device),
         config.max_discrepancy,
-        total,
     ]
-    launch(depth_discrepancy, len(total), inputs, device, work_per_item=10 * view.width)
+    shape, work = (len(poses), view.height), 10 * view.width
+    total = computed(depth_discrepancy, shape, float, inputs, device, work_per_item=work)
     known = max(1, int((observed > 0).sum()))
-    return np.asarray(total.numpy().reshape(len(poses), -1).sum(axis=1) / known)
+    return np.asarray(total.sum(axis=1) / known)
 
 
 def _observed(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from inhand.config import EstimatorConfig, SecondLookConfig
 from inhand.geometry.se3 import Array
 from inhand.kernels.hand_fit import explained_weights
-from inhand.kernels.launch import launch, on_device
+from inhand.kernels.launch import computed, on_device
 from inhand.packed import PackedHand, device_poses
 from inhand.stages.articulated_fit import whole_hand_fit
 from inhand.stages.finger_search import configurations
@@ -71,15 +71,9 @@ def _explained(
     weights = segment.weight[::stride]
     used = np.zeros(len(hand.hand.links), dtype=np.int32)
     used[links] = 1
-    out = wp.empty(len(T_camera_link), dtype=float, device=device)
-    launch(
-        explained_weights,
-        len(out),
-        [on_device(segment.points[::stride], wp.vec3, device)]
-        + [on_device(weights, float, device), hand.fields]
-        + [device_poses(T_camera_link, device), on_device(used, int, device)]
-        + [config.near, out],
-        device,
-        work_per_item=10 * len(weights),
-    )
-    return np.asarray(out.numpy()) / weights.sum()
+    points = on_device(segment.points[::stride], wp.vec3, device)
+    inputs = [points, on_device(weights, float, device), hand.fields]
+    inputs += [device_poses(T_camera_link, device), on_device(used, int, device), config.near]
+    shape, work = (len(T_camera_link),), 10 * len(weights)
+    explained = computed(explained_weights, shape, float, inputs, device, work_per_item=work)
+    return explained / weights.sum()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from inhand.config import HandStateConfig, WristConfig
-from inhand.geometry.se3 import Array, exp
+from inhand.geometry.se3 import Array, exp_so3
 from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
 from inhand.stages.hand_visibility import HandVisibility
@@ -61,9 +61,8 @@ def _around(T_camera_hand: Array, config: WristConfig, rng: np.random.Generator)
     sd = np.repeat([config.search_sd_rotation, config.search_sd_translation], 3)
     offset = rng.normal(0, 1, (config.samples, 6)) * sd
     offset[0] = 0.0
-    turn = exp(np.pad(offset[:, :3], ((0, 0), (0, 3))))
     T = np.repeat(T_camera_hand[None], config.samples, 0)
-    T[:, :3, :3] = turn[:, :3, :3] @ T_camera_hand[:3, :3]
+    T[:, :3, :3] = exp_so3(offset[:, :3]) @ T_camera_hand[:3, :3]
     T[:, :3, 3] += offset[:, 3:]
     return T
 
