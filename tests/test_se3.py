@@ -33,6 +33,20 @@ def test_exp_rotates_and_shifts_separately(xi: np.ndarray) -> None:
     np.testing.assert_array_equal(T[3], [0, 0, 0, 1])
 
 
+@given(twists, st.lists(twists, min_size=1, max_size=3), triples)
+def test_moved_turns_about_the_pivot_and_then_shifts(
+    at: np.ndarray, xi: list[np.ndarray], pivot: np.ndarray
+) -> None:
+    T = se3.exp(at)
+    found = se3.moved(T, np.array(xi), pivot)
+    there = se3.transform(T, pivot[None])[0]
+    to_pivot = se3.exp(np.concatenate([np.zeros(3), there]))
+    for pose, one in zip(found, xi, strict=True):
+        expected = to_pivot @ se3.exp(one) @ se3.inverse(to_pivot) @ T
+        np.testing.assert_allclose(pose, expected, atol=1e-11)
+        np.testing.assert_array_equal(se3.moved(T, one, pivot), pose)
+
+
 def test_batches_are_rows() -> None:
     xi = np.random.default_rng(0).normal(size=(2, 3, 6))
     T = se3.exp(xi)

@@ -17,7 +17,7 @@ from inhand.config import EstimatorConfig, NonNegative, Real, Section, Seed
 from inhand.errors import NoAnswer
 from inhand.evaluation.metrics import ObjectMetric
 from inhand.evaluation.symmetric_poses import nearest_symmetric
-from inhand.geometry.se3 import exp, transform
+from inhand.geometry.se3 import moved
 from inhand.packed import PackedHand, PackedObject
 from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
 from inhand.stages.clustering import surface_distances_to
@@ -204,10 +204,7 @@ class Snapper:
         sd = np.repeat([s.spread_rotation, s.spread_translation], 3)
         offset = rng.normal(0, 1, (s.starts, 6)) * sd
         offset[0] = 0.0
-        centre = transform(T_camera_object, self.obj.model.centre[None])[0]
-        move = exp(offset)
-        move[:, :3, 3] += centre - move[:, :3, :3] @ centre
-        return (move @ T_camera_object).astype(np.float32)
+        return moved(T_camera_object, offset, self.obj.model.centre).astype(np.float32)
 
     def _on_the_leash(
         self, T_camera_object: NDArray[np.float32], given: Array

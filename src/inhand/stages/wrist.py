@@ -3,7 +3,7 @@
 import numpy as np
 
 from inhand.config import HandStateConfig, WristConfig
-from inhand.geometry.se3 import Array, exp_so3
+from inhand.geometry.se3 import Array, moved
 from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
 from inhand.stages.hand_visibility import HandVisibility
@@ -61,10 +61,7 @@ def _around(T_camera_hand: Array, config: WristConfig, rng: np.random.Generator)
     sd = np.repeat([config.search_sd_rotation, config.search_sd_translation], 3)
     offset = rng.normal(0, 1, (config.samples, 6)) * sd
     offset[0] = 0.0
-    T = np.repeat(T_camera_hand[None], config.samples, 0)
-    T[:, :3, :3] = exp_so3(offset[:, :3]) @ T_camera_hand[:3, :3]
-    T[:, :3, 3] += offset[:, 3:]
-    return T
+    return moved(T_camera_hand, offset, np.zeros(3))
 
 
 def wrist_prior(observation: Observation, config: WristConfig) -> WristPrior:
