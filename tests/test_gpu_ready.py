@@ -70,6 +70,15 @@ def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return slices
 
 
+@pytest.fixture
+def in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work items are shared by blocks of threads, which run one after the other until they wait for
+    each other."""
+    monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
+    monkeypatch.setattr(seam, "CPU_BLOCK", 16)
+    monkeypatch.setattr(seam, "cpu_count", lambda: 1)
+
+
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return demo_scene()
@@ -103,3 +112,14 @@ def test_estimates_rely_on_no_order_of_work_items_and_no_shared_memory(
     assert len(found.candidates) == len(expected.candidates)
     for one, other in zip(found.candidates, expected.candidates, strict=True):
         np.testing.assert_array_equal(one.T_camera_object, other.T_camera_object)
+
+
+def test_threads_of_a_block_share_work_items(
+    scene: Scene, config: EstimatorConfig, expected: PoseEstimate, in_blocks: None
+) -> None:
+    found = estimate(scene, config)
+    assert found.found
+    assert found.confidence == pytest.approx(expected.confidence, abs=0.001)
+    assert found.joint_positions == pytest.approx(expected.joint_positions, abs=1e-4)
+    assert found.T_camera_hand == pytest.approx(expected.T_camera_hand, abs=1e-5)
+    assert found.T_camera_object == pytest.approx(expected.T_camera_object, abs=1e-4)

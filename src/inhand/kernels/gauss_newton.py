@@ -1,10 +1,11 @@
 """Gauss-Newton over wrist and joints, from the sums of `kernels.hand_terms`.
 
-A work item is a start of the fit: the few threads of a CPU have one each, for all its iterations.
+A work item is a start of the fit, with all its iterations; its block's threads share the points.
 """
 
 import warp as wp
 
+from inhand.kernels.block import sum_rows, wait_for_block
 from inhand.kernels.hand_terms import FitProblem, FitState, add_terms
 from inhand.kernels.kinematics import Twist, joint_twist, place_links
 from inhand.kernels.normal_equations import solve_in_place
@@ -14,49 +15,69 @@ Matrix6d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 
 
 @wp.func
-def assemble(problem: FitProblem, state: FitState, s: int):
-    """Bring the links of start `s` to their places and make their sums one system H x = g.
-
-    The parameters are rotation and translation of the wrist and the n independent joints. The twist
-    of a link is that of the wrist plus those of the joints that carry it.
-    """
-    chain = problem.chain
-    H, g, twists = state.H, state.g, state.twists
+def begin_system(problem: FitProblem, state: FitState, s: int):
+    """Bring the links of start `s` to their places, and its system to zero."""
+    chain, H, g = problem.chain, state.H, state.g
     wrist_pose = state.T_camera_hand[s]
     place_links(chain, state.q, wrist_pose, s, state.T_camera_joint, state.T_camera_link)
-    add_terms(problem, state, s)
     for i in range(g.shape[1]):
         g[s, i] = wp.float64(0.0)
         for j in range(g.shape[1]):
             H[s, i, j] = wp.float64(0.0)
     wrist = wrist_pose[:3, 3]
     for joint in range(chain.parent.shape[0]):
-        twists[s, joint] = Twist()
+        state.twists[s, joint] = Twist()
         if problem.free[chain.source[joint]] != 0:
-            twists[s, joint] = joint_twist(chain, joint, state.T_camera_joint[s, joint], wrist)
-    links = chain.link_joint.shape[0]
-    for link in range(links):
-        A = Matrix6d(state.A[s, link])
-        b = Twist(state.b[s, link])
+            T_joint = state.T_camera_joint[s, joint]
+            state.twists[s, joint] = joint_twist(chain, joint, T_joint, wrist)
+
+
+@wp.func
+def add_link(problem: FitProblem, state: FitState, s: int, link: int):
+    """Add the sums of a link to the system of start `s`.
+
+    The twist of a link is that of the wrist plus those of the joints that carry it.
+    """
+    chain, H, g, twists = problem.chain, state.H, state.g, state.twists
+    A = Matrix6d()
+    for row in range(6):
+        A[row] = Twist(state.sums[s, 0, 7 * link + row])
+    b = Twist(state.sums[s, 0, 7 * link + 6])
+    for row in range(6):
+        g[s, row] = g[s, row] + b[row]
+        for column in range(6):
+            H[s, row, column] = H[s, row, column] + A[row, column]
+    joint = chain.link_joint[link]
+    while joint >= 0:
+        twist = twists[s, joint]
+        pull = A * twist
+        p = 6 + chain.source[joint]
+        g[s, p] = g[s, p] + wp.dot(twist, b)
         for row in range(6):
-            g[s, row] = g[s, row] + b[row]
-            for column in range(6):
-                H[s, row, column] = H[s, row, column] + A[row, column]
-        joint = chain.link_joint[link]
-        while joint >= 0:
-            twist = twists[s, joint]
-            pull = A * twist
-            p = 6 + chain.source[joint]
-            g[s, p] = g[s, p] + wp.dot(twist, b)
-            for row in range(6):
-                H[s, row, p] = H[s, row, p] + pull[row]
-                H[s, p, row] = H[s, p, row] + pull[row]
-            other = chain.link_joint[link]
-            while other >= 0:
-                r = 6 + chain.source[other]
-                H[s, p, r] = H[s, p, r] + wp.dot(twists[s, other], pull)
-                other = chain.parent[other]
-            joint = chain.parent[joint]
+            H[s, row, p] = H[s, row, p] + pull[row]
+            H[s, p, row] = H[s, p, row] + pull[row]
+        other = chain.link_joint[link]
+        while other >= 0:
+            r = 6 + chain.source[other]
+            H[s, p, r] = H[s, p, r] + wp.dot(twists[s, other], pull)
+            other = chain.parent[other]
+        joint = chain.parent[joint]
+
+
+@wp.func
+def assemble(problem: FitProblem, state: FitState, s: int, lane: int):
+    """Bring the links of start `s` to their places and make their sums one system H x = g.
+
+    The parameters are rotation and translation of the wrist and the n independent joints.
+    """
+    if lane == 0:
+        begin_system(problem, state, s)
+    wait_for_block()
+    add_terms(problem, state, s, lane)
+    sum_rows(state.sums, s, lane)
+    if lane == 0:
+        for link in range(problem.chain.link_joint.shape[0]):
+            add_link(problem, state, s, link)
 
 
 @wp.func
@@ -95,13 +116,16 @@ def take_step(problem: FitProblem, state: FitState, s: int):
 @wp.kernel
 def assemble_systems(problem: FitProblem, state: FitState, first: int):
     """One work item a start: its system, without priors, where its joints and wrist are."""
-    assemble(problem, state, first + wp.tid())
+    item, lane = wp.tid()
+    assemble(problem, state, first + item, lane)
 
 
 @wp.kernel
 def refine_states(problem: FitProblem, state: FitState, first: int):
     """One work item a start: all its iterations."""
-    s = first + wp.tid()
+    item, lane = wp.tid()
+    s = first + item
     for _ in range(problem.widths.shape[0]):
-        assemble(problem, state, s)
-        take_step(problem, state, s)
+        assemble(problem, state, s, lane)
+        if lane == 0:
+            take_step(problem, state, s)

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from inhand.kernels.block import block_sum
 from inhand.kernels.bodies import nearest_body
 from inhand.kernels.depth import Pinhole
 from inhand.kernels.fields import Fields
@@ -97,32 +98,38 @@ def score_configurations(
         score: out, mean judgement weighted by the projected area, and the share of the projected
             area that nothing hides.
     """
-    c = first + wp.tid()
+    item, lane = wp.tid()
+    c = first + item
     total = float(0.0)
     open_area = float(0.0)
-    area = float(1.0e-6)
-    for i in range(n_samples):
-        if i > 0 and i == early_samples and total < hopeless * area:
+    area = wp.where(lane == 0, 1.0e-6, 0.0)
+    sums = wp.vec3()
+    early = wp.min(early_samples, n_samples)
+    for span in range(2):
+        start, end = wp.where(span == 0, 0, early), wp.where(span == 0, early, n_samples)
+        for i in range(start + lane, end, wp.block_dim()):
+            T = T_camera_link[c * n_links + link[i]]
+            p = wp.transform_point(T, points[i])
+            n = wp.transform_vector(T, normals[i])
+            facing = -wp.dot(n, p) / wp.length(p)
+            if facing < 0.1:
+                continue
+            area += facing
+            pixel = pixel_of(view.camera, p)
+            if pixel < 0:
+                continue
+            # What something else hides, or explains already, says nothing.
+            other = fixed_depth[coarse_pixel(view.camera.width, fixed_step, pixel)]
+            if other > 0.0 and other < p[2] + rule.tolerance:
+                continue
+            d = view.depth[pixel]
+            if d <= 0.0 or d > p[2] - rule.tolerance:
+                open_area += facing
+            total += facing * judge_point(view, rule, p, n, pixel)
+        sums = wp.vec3(block_sum(total), block_sum(open_area), block_sum(area))
+        if span == 0 and early > 0 and sums[0] < hopeless * sums[2]:
             break
-        T = T_camera_link[c * n_links + link[i]]
-        p = wp.transform_point(T, points[i])
-        n = wp.transform_vector(T, normals[i])
-        facing = -wp.dot(n, p) / wp.length(p)
-        if facing < 0.1:
-            continue
-        area += facing
-        pixel = pixel_of(view.camera, p)
-        if pixel < 0:
-            continue
-        # What something else hides, or explains already, says nothing.
-        other = fixed_depth[coarse_pixel(view.camera.width, fixed_step, pixel)]
-        if other > 0.0 and other < p[2] + rule.tolerance:
-            continue
-        d = view.depth[pixel]
-        if d <= 0.0 or d > p[2] - rule.tolerance:
-            open_area += facing
-        total += facing * judge_point(view, rule, p, n, pixel)
-    score[c] = wp.vec2(total, open_area) / area
+    score[c] = wp.vec2(sums[0], sums[1]) / sums[2]
 
 
 SupportSums = wp.types.vector(length=5, dtype=float)
@@ -160,13 +167,14 @@ def link_support(
             none, at every `hand_step`-th pixel.
         sums: out, see `SupportSums`, for all samples of the link.
     """
-    k = first + wp.tid()
+    item, lane = wp.tid()
+    k = first + item
     T = T_camera_link[k]
     sum = SupportSums()
-    sum[0] = 1.0e-6
+    sum[0] = wp.where(lane == 0, 1.0e-6, 0.0)
     stride = wp.max(1, (start[k + 1] - start[k]) // most)
     parts = k * fields.start.shape[0]
-    for i in range(start[k], start[k + 1], stride):
+    for i in range(start[k] + lane * stride, start[k + 1], wp.block_dim() * stride):
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
         facing = -wp.dot(n, p) / wp.length(p)
@@ -189,6 +197,8 @@ def link_support(
         d = view.depth[pixel]
         if d <= 0.0 or d > p[2] - rule.tolerance:
             sum[at + 1] += facing
+    for at in range(5):
+        sum[at] = block_sum(sum[at])
     sums[k] = float(stride) * sum
 
 
@@ -251,11 +261,12 @@ def explained_weights(
         used: per link; 0 leaves it out.
         explained: out; a point counts less the farther away it is.
     """
-    c = first + wp.tid()
+    item, lane = wp.tid()
+    c = first + item
     total = float(0.0)
-    for i in range(points.shape[0]):
+    for i in range(lane, points.shape[0], wp.block_dim()):
         distance, _gradient, _link = nearest_body(
             fields, T_camera_link, c * fields.start.shape[0], used, 0, points[i], near
         )
         total += weights[i] * wp.max(0.0, 1.0 - wp.abs(distance) / near)
-    explained[c] = total
+    explained[c] = block_sum(total)

@@ -6,7 +6,7 @@ from inhand.kernels.bodies import nearest_body
 from inhand.kernels.fields import Fields
 from inhand.kernels.hand_fit import DepthView, redescending, sample_residual
 from inhand.kernels.kinematics import Chain, Twist
-from inhand.kernels.normal_equations import Matrix6, Vector6, row_of
+from inhand.kernels.normal_equations import Vector6, row_of
 
 
 @wp.struct
@@ -65,11 +65,9 @@ class FitState:
     T_camera_joint: wp.array2d(dtype=wp.mat44d)
     T_camera_link: wp.array(dtype=wp.mat44)
     """Flat (s * L)."""
-    A: wp.array2d(dtype=Matrix6)
-    """Sums over the points of every link, (s, L): matrix over rotation and translation about the
-    wrist's origin,"""
-    b: wp.array2d(dtype=Vector6)
-    """and right-hand side."""
+    sums: wp.array3d(dtype=Vector6)
+    """Sums by every thread of a block over the points of every link, (s, thread, 7 L): the rows of
+    a matrix over rotation and translation about the wrist's origin, and the right-hand side."""
     twists: wp.array2d(dtype=Twist)
     """Twist of what each joint carries per unit of its source, (s, j)."""
     H: wp.array3d(dtype=wp.float64)
@@ -79,19 +77,22 @@ class FitState:
 
 
 @wp.func
-def add_term(state: FitState, start: int, link: int, row: Vector6, r: float, w: float):
+def add_term(state: FitState, start: int, lane: int, link: int, row: Vector6, r: float, w: float):
     """Add a residual [m] of a link, with its row of the Jacobian and its weight."""
-    state.A[start, link] = state.A[start, link] + wp.outer(w * row, row)
-    state.b[start, link] = state.b[start, link] + w * r * row
+    sums = state.sums
+    for k in range(6):
+        sums[start, lane, 7 * link + k] = sums[start, lane, 7 * link + k] + w * row[k] * row
+    sums[start, lane, 7 * link + 6] = sums[start, lane, 7 * link + 6] + w * r * row
 
 
 @wp.func
-def add_scene_terms(problem: FitProblem, state: FitState, start: int):
+def add_scene_terms(problem: FitProblem, state: FitState, start: int, lane: int):
     """Add the distances of the scene points to the nearest link's surface."""
     links = problem.used.shape[0]
     c = wp.vec3(state.T_camera_hand[start][:3, 3])
     width = problem.widths[state.iteration[start]]
-    for i in range(0, problem.points.shape[0], problem.stride):
+    step = wp.block_dim() * problem.stride
+    for i in range(lane * problem.stride, problem.points.shape[0], step):
         p = problem.points[i]
         distance, gradient, k = nearest_body(
             problem.fields, state.T_camera_link, start * links,
@@ -102,16 +103,17 @@ def add_scene_terms(problem: FitProblem, state: FitState, start: int):
         facing = wp.max(0.0, wp.dot(gradient, problem.normals[i]))
         w = redescending(distance, width) * facing
         if w > 0.0:
-            add_term(state, start, k, row_of(p - c, gradient), distance, w)
+            add_term(state, start, lane, k, row_of(p - c, gradient), distance, w)
 
 
 @wp.func
-def add_hand_terms(problem: FitProblem, state: FitState, start: int):
+def add_hand_terms(problem: FitProblem, state: FitState, start: int, lane: int):
     """Add the plane distances of the surface samples to the readings on their rays."""
     links = problem.used.shape[0]
     c = wp.vec3(state.T_camera_hand[start][:3, 3])
     width = problem.widths[state.iteration[start]]
-    for i in range(0, problem.hand_points.shape[0], problem.stride):
+    step = wp.block_dim() * problem.stride
+    for i in range(lane * problem.stride, problem.hand_points.shape[0], step):
         k = problem.hand_link[i]
         if problem.used[k] == 0:
             continue
@@ -120,14 +122,13 @@ def add_hand_terms(problem: FitProblem, state: FitState, start: int):
         n = wp.transform_vector(T, problem.hand_normals[i])
         r, w, _pixel = sample_residual(problem.view, p, n, width)
         if w > 0.0:
-            add_term(state, start, k, row_of(p - c, n), r, w)
+            add_term(state, start, lane, k, row_of(p - c, n), r, w)
 
 
 @wp.func
-def add_terms(problem: FitProblem, state: FitState, start: int):
-    """Sum over the points of the scene and of the hand."""
-    for k in range(problem.used.shape[0]):
-        state.A[start, k] = Matrix6()
-        state.b[start, k] = Vector6()
-    add_scene_terms(problem, state, start)
-    add_hand_terms(problem, state, start)
+def add_terms(problem: FitProblem, state: FitState, start: int, lane: int):
+    """Sum over this thread's share of the points of the scene and of the hand."""
+    for k in range(state.sums.shape[2]):
+        state.sums[start, lane, k] = Vector6()
+    add_scene_terms(problem, state, start, lane)
+    add_hand_terms(problem, state, start, lane)

@@ -24,6 +24,9 @@ Result = TypeVar("Result")
 # Handing a slice to a pool thread costs about 0.15 ms, so only long launches are sliced.
 SLICED_FROM_OPERATIONS = 60_000
 
+# Threads of a block.
+CPU_BLOCK, GPU_BLOCK = 1, 128
+
 
 @cache
 def _pool() -> ThreadPoolExecutor:
@@ -34,6 +37,11 @@ def _pool() -> ThreadPoolExecutor:
 def cpu_count() -> int:
     """Number of CPU cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def block_size(device: str) -> int:
+    """Number of threads that run together on a device, and may share a work item."""
+    return CPU_BLOCK if device == "cpu" else GPU_BLOCK
 
 
 _thread = threading.local()
@@ -59,10 +67,39 @@ def on_all_cores(
         return done + list(pool.map(function, queue))
 
 
-def launch(
-    kernel: Any, dim: int, inputs: Sequence[Any], device: str, *, work_per_item: int = 1
-) -> None:
-    """Run `kernel` for the work items 0..dim-1.
+def launch(kernel: Any, dim: int, inputs: Sequence[Any], device: str, **how: Any) -> None:
+    """`prepare` a launch and run it."""
+    prepare(kernel, dim, inputs, device, **how)()
+
+
+def computed(
+    kernel: Any, shape: tuple[int, ...], dtype: Any, inputs: Sequence[Any], device: str, **how: Any
+) -> NDArray[Any]:
+    """What `launch` makes of a kernel that finds one value a work item.
+
+    Args (beyond those of `prepare`):
+        kernel: its last parameter before `first` is the flat array for the values.
+        shape: of the work items and the values.
+        dtype: Warp type of the values.
+    """
+    out = wp.empty(math.prod(shape), dtype=dtype, device=device)
+    launch(kernel, len(out), [*inputs, out], device, **how)
+    values: NDArray[Any] = out.numpy()
+    return values.reshape(*shape, *values.shape[1:])
+
+
+def prepare(
+    kernel: Any,
+    dim: int,
+    inputs: Sequence[Any],
+    device: str,
+    *,
+    work_per_item: int = 1,
+    shared: bool = False,
+) -> Callable[[], None]:
+    """A launch of `kernel` for the work items 0..dim-1, to be run as often as one likes.
+
+    Packing the arguments takes longer than a short launch, so what is repeated is prepared once.
 
     Every kernel takes a last parameter `first: int`, the index of its first work item, which is
     appended here. Warp's CPU backend runs a launch on the calling thread and releases the GIL, so
@@ -75,38 +112,7 @@ def launch(
         inputs: the kernel's arguments without `first`.
         device: Warp device name, "cpu" or "cuda:0".
         work_per_item: rough number of inner-loop operations of one item, to decide on slicing.
-    """
-    prepare(kernel, dim, inputs, device, work_per_item=work_per_item)()
-
-
-def computed(
-    kernel: Any,
-    shape: tuple[int, ...],
-    dtype: Any,
-    inputs: Sequence[Any],
-    device: str,
-    *,
-    work_per_item: int = 1,
-) -> NDArray[Any]:
-    """What `launch` makes of a kernel that finds one value a work item.
-
-    Args (beyond those of `launch`):
-        kernel: its last parameter before `first` is the flat array for the values.
-        shape: of the work items and the values.
-        dtype: Warp type of the values.
-    """
-    out = wp.empty(math.prod(shape), dtype=dtype, device=device)
-    launch(kernel, len(out), [*inputs, out], device, work_per_item=work_per_item)
-    values: NDArray[Any] = out.numpy()
-    return values.reshape(*shape, *values.shape[1:])
-
-
-def prepare(
-    kernel: Any, dim: int, inputs: Sequence[Any], device: str, *, work_per_item: int = 1
-) -> Callable[[], None]:
-    """`launch` with these arguments, to be called as often as one likes.
-
-    Packing the arguments takes longer than a short launch, so what is repeated is prepared once.
+        shared: whether the threads of a block share a work item, see `kernels.block`.
     """
     if dim <= 0:
         return lambda: None
@@ -114,18 +120,22 @@ def prepare(
     worth_it = device == "cpu" and dim * work_per_item >= SLICED_FROM_OPERATIONS
     if worth_it and not getattr(_thread, "has_one_core", False):
         slices = min(dim, cpu_count())
-    whole = wp.launch(kernel, dim=dim, inputs=[*inputs, 0], device=device, record_cmd=True)
+    block = block_size(device)
+    threads = (block,) if shared else ()
+    whole = wp.launch(
+        kernel, (dim, *threads), [*inputs, 0], device=device, record_cmd=True, block_dim=block
+    )
     spans = itertools.pairwise(dim * i // slices for i in range(slices + 1))
-    commands = [_slice(whole, a, b) for a, b in spans] if slices > 1 else [whole]
+    commands = [_slice(whole, a, b, threads) for a, b in spans] if slices > 1 else [whole]
     # The commands hold the addresses of the arrays in `inputs`, which must live as long.
     return partial(_run, commands, inputs)
 
 
-def _slice(whole: Any, first: int, end: int) -> Any:
+def _slice(whole: Any, first: int, end: int, threads: Sequence[int]) -> Any:
     """The part of a command for the work items first..end-1; packing it anew takes longer."""
     command = copy(whole)
     command.params = list(whole.params)
-    command.set_dim(end - first)
+    command.set_dim((end - first, *threads))
     command.set_param_at_index(len(command.params) - 2, first)
     return command
 
@@ -190,5 +200,5 @@ def load_all_kernels(device: str, progress: Callable[[str], None] = lambda name:
         module = importlib.import_module(f"inhand.kernels.{name}")
         if any(isinstance(value, wp.Kernel) for value in vars(module).values()):
             progress(name)
-            block = 1 if device == "cpu" else 256
+            block = block_size(device)
             wp.get_module(module.__name__).load(wp.get_device(device), block_dim=block)

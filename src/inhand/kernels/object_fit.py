@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from inhand.kernels.block import block_sum, sum_rows, wait_for_block
 from inhand.kernels.fields import Fields, field_at
 from inhand.kernels.hand_fit import (
     DepthView,
@@ -52,10 +53,11 @@ def visible_score(
     points: wp.array(dtype=wp.vec3),
     normals: wp.array(dtype=wp.vec3),
     n_points: int,
+    lane: int,
 ):
     """Sum of the judgements of the camera-facing surface samples, per expected visible sample."""
     total = float(0.0)
-    for i in range(n_points):
+    for i in range(lane, n_points, wp.block_dim()):
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
         facing = -wp.dot(n, p)
@@ -69,7 +71,7 @@ def visible_score(
         if hand > 0.0 and hand < p[2] - rule.tolerance:
             continue
         total += facing * judge_point(e.view, rule, p, n, pixel)
-    return total / (VISIBLE_SHARE * wp.max(1.0, float(n_points)))
+    return block_sum(total) / (VISIBLE_SHARE * wp.max(1.0, float(n_points)))
 
 
 @wp.func
@@ -81,6 +83,7 @@ def explained_share(
     stride: int,
     total: float,
     least: float,
+    lane: int,
 ):
     """Weighted share of the segment's points that lie on the posed model's surface.
 
@@ -88,9 +91,9 @@ def explained_share(
     """
     explained = float(0.0)
     missed = float(0.0)
-    for i in range(0, e.points.shape[0], stride):
+    for i in range(lane * stride, e.points.shape[0], wp.block_dim() * stride):
         if missed > (1.0 - least) * total:
-            return 1.0 - missed / total
+            break
         w = e.weights[i]
         value = field_at(fields, 0, to_local(T, e.points[i]))
         x = wp.abs(value[0]) / near
@@ -100,7 +103,10 @@ def explained_share(
             agreement = (1.0 - x * x) * wp.max(0.0, wp.dot(gradient, e.normals[i]))
         explained += w * agreement
         missed += w * (1.0 - agreement)
-    return explained / total
+    missed = block_sum(missed)
+    if missed > (1.0 - least) * total:
+        return 1.0 - missed / total
+    return block_sum(explained) / total
 
 
 @wp.kernel
@@ -129,11 +135,12 @@ def score_poses(
         worth: a pose that is certain to score less is left with some score below this.
         agreement: out, scores of what is seen and of the explained share, whose sum is the score.
     """
-    i = first + wp.tid()
+    item, lane = wp.tid()
+    i = first + item
     T = T_camera_object[i]
-    seen = visible_score(e, rule, T, points, normals, n_points)
+    seen = visible_score(e, rule, T, points, normals, n_points, lane)
     least = (worth - seen) / wp.max(e.share_weight, 1.0e-6)
-    share = explained_share(e, T, fields, near, segment_stride, segment_weight, least)
+    share = explained_share(e, T, fields, near, segment_stride, segment_weight, least, lane)
     agreement[i] = wp.vec2(seen, e.share_weight * share)
 
 
@@ -170,9 +177,8 @@ def refine_poses(
     last_width: float,
     segment_stride: int,
     image_weight: float,
+    sums: wp.array3d(dtype=Vector6),
     T_refined: wp.array(dtype=wp.mat44),
-    last_A: wp.array(dtype=Matrix6),
-    last_b: wp.array(dtype=Vector6),
     first: int,
 ):
     """One work item a pose: Gauss-Newton of the segment onto the model's distance field.
@@ -185,8 +191,11 @@ def refine_poses(
         scale: radius of the model [m]; makes rotations and translations comparable in the damping.
         first_width, last_width: width of the redescending weight, narrowing geometrically [m].
         image_weight: weight of one visible model sample against one segment point.
+        sums: scratch by every thread of a block, (pose, thread, 7); the first thread's become the
+            rows of A, and b, of the last iteration's system A x = b.
     """
-    i = first + wp.tid()
+    item, lane = wp.tid()
+    i = first + item
     T = T_start[i]
     width = first_width
     shrink = wp.pow(last_width / first_width, 1.0 / wp.max(1.0, float(iterations - 1)))
@@ -194,7 +203,7 @@ def refine_poses(
         A = Matrix6()
         b = Vector6()
         pivot = wp.transform_point(T, centre)
-        for s in range(0, e.points.shape[0], segment_stride):
+        for s in range(lane * segment_stride, e.points.shape[0], wp.block_dim() * segment_stride):
             p = e.points[s]
             value = field_at(fields, 0, to_local(T, p))
             w = e.weights[s] * redescending(value[0], width)
@@ -208,7 +217,7 @@ def refine_poses(
             A += wp.outer(w * row, row)
             b += w * value[0] * row
         if image_weight > 0.0:
-            for s in range(n_points):
+            for s in range(lane, n_points, wp.block_dim()):
                 p = wp.transform_point(T, points[s])
                 n = wp.transform_vector(T, normals[s])
                 r, w = visible_residual(e, p, n, width)
@@ -217,8 +226,14 @@ def refine_poses(
                 row = row_of(p - pivot, n)
                 A += wp.outer(image_weight * w * row, row)
                 b += image_weight * w * r * row
-        last_A[i] = A
-        last_b[i] = b
+        for k in range(6):
+            sums[i, lane, k] = A[k]
+        sums[i, lane, 6] = b
+        sum_rows(sums, i, lane)
+        for k in range(6):
+            A[k] = sums[i, 0, k]
+        b = sums[i, 0, 6]
+        wait_for_block()
         trace = A[3, 3] + A[4, 4] + A[5, 5]
         damping = 0.003 * trace + 1.0e-6
         for k in range(3):

@@ -76,10 +76,11 @@ def compare_poses(
         near: surfaces that are no farther apart than this on average are alike [m].
         alike: in as zeros, out 1 where alike, (block, others).
     """
-    i = first + wp.tid()
+    item, lane = wp.tid()
+    i = first + item
     own = T[begin + i]
     farthest = wp.max(3.0 * near, 0.001)
-    for k in range(n_chosen + i):
+    for k in range(lane, n_chosen + i, wp.block_dim()):
         if distance_between(surface, own, T[others[k]], farthest, near) <= near:
             alike[i, k] = 1
             if k < n_chosen:

@@ -21,8 +21,8 @@ from inhand.geometry.se3 import Array
 from inhand.kernels import gauss_newton as kernels
 from inhand.kernels import hand_terms
 from inhand.kernels.kinematics import Twist
-from inhand.kernels.launch import launch, on_device, prepare
-from inhand.kernels.normal_equations import Matrix6, Vector6
+from inhand.kernels.launch import block_size, launch, on_device, prepare
+from inhand.kernels.normal_equations import Vector6
 from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
 
@@ -93,14 +93,16 @@ class ArticulatedFit:
         state = self._start(q, T_camera_hand, widths, stride)
         inputs = [self.problem, state]
         work = len(widths) * self._work(stride)
-        launch(kernels.refine_states, len(q), inputs, self.hand.device, work_per_item=work)
+        kernel, device = kernels.refine_states, self.hand.device
+        launch(kernel, len(q), inputs, device, work_per_item=work, shared=True)
         return state.q.numpy(), state.T_camera_hand.numpy()
 
     def begin(self, q: Array, T_camera_hand: Array, width: float, stride: int) -> "FitInProgress":
         """A refinement that is done step by step; arguments as `refine`, of one width."""
         state = self._start(q, T_camera_hand, np.array([width]), stride)
         kernel, inputs, work = kernels.assemble_systems, [self.problem, state], self._work(stride)
-        assemble = prepare(kernel, len(q), inputs, self.hand.device, work_per_item=work)
+        device = self.hand.device
+        assemble = prepare(kernel, len(q), inputs, device, work_per_item=work, shared=True)
         return FitInProgress(state, assemble)
 
     def _work(self, stride: int) -> int:
@@ -122,8 +124,7 @@ class ArticulatedFit:
         state.iteration = wp.zeros(starts, dtype=int, device=device)
         state.T_camera_joint = empty((starts, joints), dtype=wp.mat44d)
         state.T_camera_link = empty(starts * links, dtype=wp.mat44)
-        state.A = empty((starts, links), dtype=Matrix6)
-        state.b = empty((starts, links), dtype=Vector6)
+        state.sums = empty((starts, block_size(device), 7 * links), dtype=Vector6)
         state.twists = empty((starts, joints), dtype=Twist)
         state.H = empty((starts, parameters, parameters), dtype=wp.float64)
         state.g = empty((starts, parameters), dtype=wp.float64)

@@ -105,7 +105,8 @@ def agreement(
     inputs = [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
     inputs += [near or config.near, stride, float(weights.sum()) + 1e-6, worth]
     shape, work = (len(T_camera_object),), 4 * (n + len(weights))
-    return computed(score_poses, shape, wp.vec2, inputs, obj.device, work_per_item=work)
+    kernel, device = score_poses, obj.device
+    return computed(kernel, shape, wp.vec2, inputs, device, work_per_item=work, shared=True)
 
 
 def score_with_contact(

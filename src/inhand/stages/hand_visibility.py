@@ -60,7 +60,7 @@ class HandVisibility:
         inputs += [config.hopeless, self._nothing if others is None else others, config.render_step]
         shape, work = (len(q),), 2 * samples
         kernel, device = score_configurations, part.device
-        scores = computed(kernel, shape, wp.vec2, inputs, device, work_per_item=work)
+        scores = computed(kernel, shape, wp.vec2, inputs, device, work_per_item=work, shared=True)
         return scores[:, 0].astype(np.float64), scores[:, 1].astype(np.float64)
 
 
@@ -98,8 +98,8 @@ def hand_support(
     inputs = [observation.view, rule, device_poses(T_camera_link, device), hand.points]
     inputs += [hand.normals, start, config.fine_points, hand.fields, hand.apart]
     inputs += [depth, shown, config.render_step]
-    work = config.fine_points
-    sums = computed(link_support, (count,), SupportSums, inputs, device, work_per_item=work)
+    kernel, shape, work = link_support, (count,), config.fine_points
+    sums = computed(kernel, shape, SupportSums, inputs, device, work_per_item=work, shared=True)
     area, score, seen, other_score, other_seen = sums.astype(np.float64).T
     least = config.min_seen * area
     whole = (score + other_score).sum() / max((seen + other_seen).sum(), least.sum())

@@ -8,8 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import RefinementConfig
-from inhand.kernels.launch import launch
-from inhand.kernels.normal_equations import Matrix6, Vector6
+from inhand.kernels.launch import block_size, launch
+from inhand.kernels.normal_equations import Vector6
 from inhand.kernels.object_fit import refine_poses
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.clustering import distinct_poses
@@ -68,18 +68,14 @@ def fit_to_field(
         The poses afterwards, (m, 4, 4), and the last iterations' systems A x = b, (m, 6, 6) and
         (m, 6), for twists x about the object's centre along the camera's axes.
     """
-    kinds = (wp.mat44, Matrix6, Vector6)
-    out = [wp.empty(len(T_camera_object), dtype=kind, device=obj.device) for kind in kinds]
-    n = min(points, len(obj.points))
-    launch(
-        refine_poses,
-        len(T_camera_object),
-        [evidence.arrays, device_poses(T_camera_object, obj.device)]
-        + [obj.points, obj.normals, n, obj.fields]
-        + [wp.vec3(*obj.model.centre.tolist()), 0.5 * obj.model.diameter]
-        + [iterations, *widths, evidence.stride(points), image_weight, *out],
-        obj.device,
-        work_per_item=5 * iterations * (points + n),
-    )
-    T, A, b = (np.asarray(array.numpy()) for array in out)
-    return T, A, b
+    device, m, n = obj.device, len(T_camera_object), min(points, len(obj.points))
+    sums = wp.empty((m, block_size(device), 7), dtype=Vector6, device=device)
+    refined = wp.empty(m, dtype=wp.mat44, device=device)
+    inputs = [evidence.arrays, device_poses(T_camera_object, device)]
+    inputs += [obj.points, obj.normals, n, obj.fields]
+    inputs += [wp.vec3(*obj.model.centre.tolist()), 0.5 * obj.model.diameter]
+    inputs += [iterations, *widths, evidence.stride(points), image_weight, sums, refined]
+    work = 5 * iterations * (points + n)
+    launch(refine_poses, m, inputs, device, work_per_item=work, shared=True)
+    systems = np.asarray(sums[:, 0].contiguous().numpy())
+    return np.asarray(refined.numpy()), systems[:, :6], systems[:, 6]

@@ -75,5 +75,6 @@ def _explained(
     inputs = [points, on_device(weights, float, device), hand.fields]
     inputs += [device_poses(T_camera_link, device), on_device(used, int, device), config.near]
     shape, work = (len(T_camera_link),), 10 * len(weights)
-    explained = computed(explained_weights, shape, float, inputs, device, work_per_item=work)
+    kernel = explained_weights
+    explained = computed(kernel, shape, float, inputs, device, work_per_item=work, shared=True)
     return explained / weights.sum()
