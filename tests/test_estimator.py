@@ -131,7 +131,7 @@ def test_same_answer_on_any_number_of_threads(
     with ThreadPoolExecutor(threads) as pool:
         monkeypatch.setattr(seam, "_pool", lambda: pool)
         monkeypatch.setattr(seam, "cpu_count", lambda: threads)
-        monkeypatch.setattr(seam, "SLICED_FROM_OPERATIONS", 100)
+        monkeypatch.setattr(seam, "HANDOVER_OPERATIONS", 25)
         assert_same(estimate(estimator, scene), first)
 
 

@@ -21,8 +21,8 @@ from inhand.errors import InputError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Handing a slice to a pool thread costs about 0.15 ms, so only long launches are sliced.
-SLICED_FROM_OPERATIONS = 60_000
+# What it takes to hand a slice to a pool thread, in inner-loop operations of a kernel.
+HANDOVER_OPERATIONS = 15_000
 
 # Threads of a block.
 CPU_BLOCK, GPU_BLOCK = 1, 128
@@ -117,9 +117,10 @@ def prepare(
     if dim <= 0:
         return lambda: None
     slices = 1
-    worth_it = device == "cpu" and dim * work_per_item >= SLICED_FROM_OPERATIONS
-    if worth_it and not getattr(_thread, "has_one_core", False):
-        slices = min(dim, cpu_count())
+    if device == "cpu" and not getattr(_thread, "has_one_core", False):
+        # n slices take work / n + n handovers, which is least at:
+        best = math.isqrt(dim * work_per_item // HANDOVER_OPERATIONS)
+        slices = max(1, min(dim, cpu_count(), best))
     block = block_size(device)
     threads = (block,) if shared else ()
     whole = wp.launch(
