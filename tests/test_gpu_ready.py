@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
+from held_object import held_object
 from numpy.typing import NDArray
+from test_second_look import finger_as_segment, missed_finger
+from test_tracker import MOVING, Film
 
 import inhand
 from inhand import EstimatorConfig, PoseEstimate, PoseEstimator
 from inhand.kernels import launch as seam
+from inhand.stages.second_look import hands_in_segment
 from inhand.synth.demo import demo_scene
 from inhand.synth.scene import Scene
 
@@ -30,10 +34,13 @@ KERNEL_MODULES = [
 
 
 @pytest.mark.parametrize("name", KERNEL_MODULES)
-def test_kernels_compile_for_a_gpu(name: str, tmp_path: Path) -> None:
+def test_kernels_compile_for_a_gpu(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if HOPPER not in wp.get_cuda_supported_archs():
         pytest.skip("this build of Warp has no compiler for this GPU")
     module = importlib.import_module(name)
+    monkeypatch.setitem(wp.get_module(name).options, "block_dim", seam.GPU_BLOCK)
     wp.compile_aot_module(module, arch=HOPPER, module_dir=tmp_path, use_ptx=True)
     (ptx,) = tmp_path.glob("*.ptx")
     kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
@@ -123,3 +130,26 @@ def test_threads_of_a_block_share_work_items(
     assert found.joint_positions == pytest.approx(expected.joint_positions, abs=1e-4)
     assert found.T_camera_hand == pytest.approx(expected.T_camera_hand, abs=1e-5)
     assert found.T_camera_object == pytest.approx(expected.T_camera_object, abs=1e-4)
+
+
+def test_threads_of_a_block_share_a_track(request: pytest.FixtureRequest) -> None:
+    film = Film("can", MOVING, 3, seed=1)
+    alone = film.tracker()
+    expected = [film.show(alone, i) for i in range(3)]
+    request.getfixturevalue("in_blocks")
+    together = film.tracker()
+    for i, e in enumerate(expected):
+        found = film.show(together, i)
+        assert e.found
+        assert found.found
+        assert found.T_camera_object == pytest.approx(e.T_camera_object, abs=1e-4)
+        assert found.joint_positions == pytest.approx(e.joint_positions, abs=1e-4)
+
+
+def test_threads_of_a_block_share_a_second_look(request: pytest.FixtureRequest) -> None:
+    scene = held_object("industrial_part")
+    seen = scene.observation, missed_finger(scene), finger_as_segment(scene), scene.hand
+    (expected,) = hands_in_segment(*seen, EstimatorConfig())
+    request.getfixturevalue("in_blocks")
+    (found,) = hands_in_segment(*seen, EstimatorConfig())
+    np.testing.assert_allclose(found.joint_vector, expected.joint_vector, atol=1e-4)

@@ -46,6 +46,7 @@ def scores(
         + [wp.array(other, dtype=float), 1],
         "cpu",
         work_per_item=n,
+        shared=True,
     )
     return scores[:, 0], scores[:, 1]
 
@@ -205,6 +206,7 @@ def test_scores_of_fingers_are_those_of_brute_force() -> None:
             + [fixed, 1],
             "cpu",
             work_per_item=samples,
+            shared=True,
         )
         image = fixed.numpy().reshape(camera.height, camera.width)
         expected = np.array([brute_force(scene, k, T, image) for T in poses])

@@ -67,6 +67,15 @@ def test_short_launches_are_not_cut(launches: list[int]) -> None:
     assert launches == [100]
 
 
+@pytest.mark.parametrize(("handovers", "slices"), [(3, 1), (4, 2), (9, 3), (17, 4), (900, 16)])
+def test_slices_are_as_many_as_end_a_launch_soonest(
+    launches: list[int], monkeypatch: pytest.MonkeyPatch, handovers: int, slices: int
+) -> None:
+    monkeypatch.setattr(seam, "cpu_count", lambda: 16)
+    indices(32, 32, handovers * seam.HANDOVER_OPERATIONS // 32 + 1)
+    assert len(launches) == slices
+
+
 @pytest.mark.parametrize("work_per_item", [1, LONG])
 def test_a_prepared_launch_can_be_repeated(work_per_item: int) -> None:
     out = wp.zeros(100, dtype=int, device="cpu")

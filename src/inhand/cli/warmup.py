@@ -17,12 +17,12 @@ def run(args: Warmup) -> None:
     from rich.console import Console
 
     from inhand.cli.common import load_kernels, waiting
-    from inhand.kernels.launch import resolve_device
+    from inhand.kernels.launch import block_size, resolve_device
     from inhand.tracking import kernels as of_tracker
 
     console = Console()
     device = resolve_device(args.device)
     load_kernels(device, console)
     with waiting(console, "Loading the tracker's kernels"):
-        wp.load_module(of_tracker, device=device, block_dim=1 if device == "cpu" else 256)
+        wp.load_module(of_tracker, device=device, block_dim=block_size(device))
     console.print(f"Kernels for {device} are ready")

@@ -21,7 +21,7 @@ def wait_for_block():
         return value;
 #if defined(__CUDA_ARCH__)
     __shared__ float parts[WP_TILE_BLOCK_DIM];
-#else
+#else  // for tests: one CPU thread at a time runs blocks of several
     static float parts[WP_TILE_BLOCK_DIM];
 #endif
     const int lane = WP_TILE_THREAD_IDX;
@@ -43,13 +43,13 @@ def block_sum(value: float) -> float:
 
 @wp.func
 def sum_rows(rows: wp.array3d(dtype=Vector6), item: int, lane: int):
-    """Add what all threads have in `rows`, (item, thread, row), to what the first has there; all
+    """Add what all threads have in `rows`, (thread, item, row), to what the first has there; all
     threads of the block must come here."""
     wait_for_block()
     if wp.block_dim() > 1:
         for row in range(lane, rows.shape[2], wp.block_dim()):
-            total = rows[item, 0, row]
+            total = rows[0, item, row]
             for other in range(1, wp.block_dim()):
-                total += rows[item, other, row]
-            rows[item, 0, row] = total
+                total += rows[other, item, row]
+            rows[0, item, row] = total
     wait_for_block()

@@ -41,8 +41,8 @@ def add_link(problem: FitProblem, state: FitState, s: int, link: int):
     chain, H, g, twists = problem.chain, state.H, state.g, state.twists
     A = Matrix6d()
     for row in range(6):
-        A[row] = Twist(state.sums[s, 0, 7 * link + row])
-    b = Twist(state.sums[s, 0, 7 * link + 6])
+        A[row] = Twist(state.sums[0, s, 7 * link + row])
+    b = Twist(state.sums[0, s, 7 * link + 6])
     for row in range(6):
         g[s, row] = g[s, row] + b[row]
         for column in range(6):

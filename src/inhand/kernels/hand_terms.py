@@ -66,7 +66,7 @@ class FitState:
     T_camera_link: wp.array(dtype=wp.mat44)
     """Flat (s * L)."""
     sums: wp.array3d(dtype=Vector6)
-    """Sums by every thread of a block over the points of every link, (s, thread, 7 L): the rows of
+    """Sums by every thread of a block over the points of every link, (thread, s, 7 L): the rows of
     a matrix over rotation and translation about the wrist's origin, and the right-hand side."""
     twists: wp.array2d(dtype=Twist)
     """Twist of what each joint carries per unit of its source, (s, j)."""
@@ -81,8 +81,8 @@ def add_term(state: FitState, start: int, lane: int, link: int, row: Vector6, r:
     """Add a residual [m] of a link, with its row of the Jacobian and its weight."""
     sums = state.sums
     for k in range(6):
-        sums[start, lane, 7 * link + k] = sums[start, lane, 7 * link + k] + w * row[k] * row
-    sums[start, lane, 7 * link + 6] = sums[start, lane, 7 * link + 6] + w * r * row
+        sums[lane, start, 7 * link + k] = sums[lane, start, 7 * link + k] + w * row[k] * row
+    sums[lane, start, 7 * link + 6] = sums[lane, start, 7 * link + 6] + w * r * row
 
 
 @wp.func
@@ -129,6 +129,6 @@ def add_hand_terms(problem: FitProblem, state: FitState, start: int, lane: int):
 def add_terms(problem: FitProblem, state: FitState, start: int, lane: int):
     """Sum over this thread's share of the points of the scene and of the hand."""
     for k in range(state.sums.shape[2]):
-        state.sums[start, lane, k] = Vector6()
+        state.sums[lane, start, k] = Vector6()
     add_scene_terms(problem, state, start, lane)
     add_hand_terms(problem, state, start, lane)

@@ -126,6 +126,7 @@ def prepare(
     whole = wp.launch(
         kernel, (dim, *threads), [*inputs, 0], device=device, record_cmd=True, block_dim=block
     )
+    assert kernel.adj.kernel_dim == 1 + shared, f"{kernel.key}: `shared` does not fit its wp.tid()"
     spans = itertools.pairwise(dim * i // slices for i in range(slices + 1))
     commands = [_slice(whole, a, b, threads) for a, b in spans] if slices > 1 else [whole]
     # The commands hold the addresses of the arrays in `inputs`, which must live as long.

@@ -87,7 +87,8 @@ def explained_share(
 ):
     """Weighted share of the segment's points that lie on the posed model's surface.
 
-    Once it is certain to be less than `least`, counting ends with what it can be at most.
+    Once it is certain to be less than `least`, counting ends with what it can be at most. Each
+    thread of a block is certain by its own points alone.
     """
     explained = float(0.0)
     missed = float(0.0)
@@ -191,7 +192,7 @@ def refine_poses(
         scale: radius of the model [m]; makes rotations and translations comparable in the damping.
         first_width, last_width: width of the redescending weight, narrowing geometrically [m].
         image_weight: weight of one visible model sample against one segment point.
-        sums: scratch by every thread of a block, (pose, thread, 7); the first thread's become the
+        sums: scratch by every thread of a block, (thread, pose, 7); the first thread's become the
             rows of A, and b, of the last iteration's system A x = b.
     """
     item, lane = wp.tid()
@@ -227,12 +228,12 @@ def refine_poses(
                 A += wp.outer(image_weight * w * row, row)
                 b += image_weight * w * r * row
         for k in range(6):
-            sums[i, lane, k] = A[k]
-        sums[i, lane, 6] = b
+            sums[lane, i, k] = A[k]
+        sums[lane, i, 6] = b
         sum_rows(sums, i, lane)
         for k in range(6):
-            A[k] = sums[i, 0, k]
-        b = sums[i, 0, 6]
+            A[k] = sums[0, i, k]
+        b = sums[0, i, 6]
         wait_for_block()
         trace = A[3, 3] + A[4, 4] + A[5, 5]
         damping = 0.003 * trace + 1.0e-6

@@ -67,14 +67,14 @@ def compare_poses(
     alike: wp.array2d(dtype=int),
     first: int,
 ):
-    """One work item a pose of a block: which earlier poses have their surface where it has its own.
+    """One work item a pose of a batch: which earlier poses have their surface where it has its own.
 
     Args (beyond the obvious):
-        T: all poses; the block's are those from `begin` on.
-        others: indices of the poses to compare with: first `n_chosen` that come before the block,
-            at the first of which that is alike the comparison ends, then the block's own.
+        T: all poses; the batch's are those from `begin` on.
+        others: indices of the poses to compare with: first `n_chosen` that come before the batch,
+            at the first of which that is alike a thread's comparison ends, then the batch's own.
         near: surfaces that are no farther apart than this on average are alike [m].
-        alike: in as zeros, out 1 where alike, (block, others).
+        alike: in as zeros, out 1 where alike, (batch, others).
     """
     item, lane = wp.tid()
     i = first + item

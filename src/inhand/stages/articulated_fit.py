@@ -124,7 +124,7 @@ class ArticulatedFit:
         state.iteration = wp.zeros(starts, dtype=int, device=device)
         state.T_camera_joint = empty((starts, joints), dtype=wp.mat44d)
         state.T_camera_link = empty(starts * links, dtype=wp.mat44)
-        state.sums = empty((starts, block_size(device), 7 * links), dtype=Vector6)
+        state.sums = empty((block_size(device), starts, 7 * links), dtype=Vector6)
         state.twists = empty((starts, joints), dtype=Twist)
         state.H = empty((starts, parameters, parameters), dtype=wp.float64)
         state.g = empty((starts, parameters), dtype=wp.float64)

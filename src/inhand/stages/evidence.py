@@ -122,7 +122,8 @@ def score_with_contact(
     scores = agreement(evidence, obj, poses, samples, worth, near).sum(axis=1)
     # Contact only takes away: what is below already stays there.
     left = np.flatnonzero(scores >= worth)
-    poses = device_poses(T_camera_object[left], obj.device)
+    if len(left) < len(scores):
+        poses = device_poses(T_camera_object[left], obj.device)
     scores[left] -= contact_penalty(evidence, obj, poses, samples.contact_points)
     return scores
 

@@ -69,7 +69,7 @@ def fit_to_field(
         (m, 6), for twists x about the object's centre along the camera's axes.
     """
     device, m, n = obj.device, len(T_camera_object), min(points, len(obj.points))
-    sums = wp.empty((m, block_size(device), 7), dtype=Vector6, device=device)
+    sums = wp.empty((block_size(device), m, 7), dtype=Vector6, device=device)
     refined = wp.empty(m, dtype=wp.mat44, device=device)
     inputs = [evidence.arrays, device_poses(T_camera_object, device)]
     inputs += [obj.points, obj.normals, n, obj.fields]
@@ -77,5 +77,5 @@ def fit_to_field(
     inputs += [iterations, *widths, evidence.stride(points), image_weight, sums, refined]
     work = 5 * iterations * (points + n)
     launch(refine_poses, m, inputs, device, work_per_item=work, shared=True)
-    systems = np.asarray(sums[:, 0].contiguous().numpy())
+    systems = np.asarray(sums[0].numpy())
     return np.asarray(refined.numpy()), systems[:, :6], systems[:, 6]

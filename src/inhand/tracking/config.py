@@ -185,7 +185,8 @@ class LossConfig(Section):
     """A tracker that is lost takes a pose of this confidence or more; of a search, only if it
     agrees with where the object was expected or where the last image's search had it."""
     sure: Share = 0.95
-    """While there is no track to agree with, one search of this confidence is enough."""
+    """While there is no track to agree with, one search is enough if its confidence, times its
+    answer's share among the rivals that it found, is at least this."""
     unconfirmed: Share = 0.5
     """Until then, the estimator's answer has its confidence times this."""
     right: float = 0.005

@@ -25,7 +25,7 @@ from inhand.tracking.loss import seen_confidence
 from inhand.tracking.object_track import FollowedObject, follow_object, segment_near
 from inhand.tracking.recovery import Sighting, resumed, same_place, stands_beside_the_hand
 from inhand.tracking.rest import with_answer
-from inhand.tracking.rivals import rivals_of, share_of_answer
+from inhand.tracking.rivals import Rival, rivals_of, share_of_answer
 from inhand.tracking.track import Track, begun, predicted
 from inhand.tracking.view import look_at
 
@@ -251,7 +251,8 @@ class PoseTracker:
         """
         sighting, track, obj, config = Sighting.of(estimate), self._track, self._object, self.config
         if track is None:
-            alone = estimate.confidence >= config.loss.sure
+            share = share_of_answer(self._rivals(estimate), config.rivals)
+            alone = share * estimate.confidence >= config.loss.sure
         else:
             alone = same_place(sighting.T_camera_object, track.T_camera_object, obj, config)
         return alone or (before is not None and sighting.agrees_with(before, obj, config))
@@ -263,8 +264,12 @@ class PoseTracker:
             track = begun(estimate, given, hand.hand, config)
         else:
             track = resumed(before, estimate, given, hand, obj, config)
+        return replace(track, rivals=self._rivals(estimate))
+
+    def _rivals(self, estimate: PoseEstimate) -> tuple[Rival, ...]:
+        """The rivals of a search's answer."""
         first = estimate.candidates[0].T_camera_object
-        return replace(track, rivals=rivals_of(estimate, first, obj, config.rivals))
+        return rivals_of(estimate, first, self._object, self.config.rivals)
 
     def _no_answer(self, reason: str, clock: Clock) -> PoseEstimate:
         return self._answers.none(self._track, reason, clock.seconds)
