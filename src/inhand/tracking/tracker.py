@@ -268,8 +268,8 @@ class PoseTracker:
 
     def _rivals(self, estimate: PoseEstimate) -> tuple[Rival, ...]:
         """The rivals of a search's answer."""
-        first = estimate.candidates[0].T_camera_object
-        return rivals_of(estimate, first, self._object, self.config.rivals)
+        T = Sighting.of(estimate).T_camera_object
+        return rivals_of(estimate, T, self._object, self.config.rivals)
 
     def _no_answer(self, reason: str, clock: Clock) -> PoseEstimate:
         return self._answers.none(self._track, reason, clock.seconds)
