@@ -202,5 +202,5 @@ def load_all_kernels(device: str, progress: Callable[[str], None] = lambda name:
         module = importlib.import_module(f"inhand.kernels.{name}")
         if any(isinstance(value, wp.Kernel) for value in vars(module).values()):
             progress(name)
-            block = block_size(device)
-            wp.get_module(module.__name__).load(wp.get_device(device), block_dim=block)
+            kernels = wp.get_module(module.__name__)
+            kernels.load(wp.get_device(device), block_dim=block_size(device))

@@ -163,6 +163,22 @@ def visible_residual(e: ObjectEvidence, p: wp.vec3, n: wp.vec3, width: float):
     return r, w
 
 
+@wp.func
+def block_system(A: Matrix6, b: Vector6, sums: wp.array3d(dtype=Vector6), i: int, lane: int):
+    """Sums over the threads of the block of their parts of the system A x = b of pose `i`, which
+    `sums`, (thread, pose, 7), has in the first thread's place afterwards."""
+    for k in range(6):
+        sums[lane, i, k] = A[k]
+    sums[lane, i, 6] = b
+    sum_rows(sums, i, lane)
+    for k in range(6):
+        A[k] = sums[0, i, k]
+    b = sums[0, i, 6]
+    # The first thread's next part must not come before the others have read this.
+    wait_for_block()
+    return A, b
+
+
 @wp.kernel
 def refine_poses(
     e: ObjectEvidence,
@@ -227,14 +243,7 @@ def refine_poses(
                 row = row_of(p - pivot, n)
                 A += wp.outer(image_weight * w * row, row)
                 b += image_weight * w * r * row
-        for k in range(6):
-            sums[lane, i, k] = A[k]
-        sums[lane, i, 6] = b
-        sum_rows(sums, i, lane)
-        for k in range(6):
-            A[k] = sums[0, i, k]
-        b = sums[0, i, 6]
-        wait_for_block()
+        A, b = block_system(A, b, sums, i, lane)
         trace = A[3, 3] + A[4, 4] + A[5, 5]
         damping = 0.003 * trace + 1.0e-6
         for k in range(3):

@@ -91,9 +91,8 @@ class ArticulatedFit:
             stride: every so-many-th point takes part.
         """
         state = self._start(q, T_camera_hand, widths, stride)
-        inputs = [self.problem, state]
         work = len(widths) * self._work(stride)
-        kernel, device = kernels.refine_states, self.hand.device
+        kernel, inputs, device = kernels.refine_states, [self.problem, state], self.hand.device
         launch(kernel, len(q), inputs, device, work_per_item=work, shared=True)
         return state.q.numpy(), state.T_camera_hand.numpy()
 

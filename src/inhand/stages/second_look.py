@@ -74,7 +74,6 @@ def _explained(
     points = on_device(segment.points[::stride], wp.vec3, device)
     inputs = [points, on_device(weights, float, device), hand.fields]
     inputs += [device_poses(T_camera_link, device), on_device(used, int, device), config.near]
-    shape, work = (len(T_camera_link),), 10 * len(weights)
-    kernel = explained_weights
+    kernel, shape, work = explained_weights, (len(T_camera_link),), 10 * len(weights)
     explained = computed(kernel, shape, float, inputs, device, work_per_item=work, shared=True)
     return explained / weights.sum()
