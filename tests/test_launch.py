@@ -1,4 +1,6 @@
+import gc
 import re
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +105,35 @@ def test_nothing_to_do_is_no_launch(launches: list[int]) -> None:
 def test_errors_reach_the_caller(work_per_item: int) -> None:
     with pytest.raises(RuntimeError, match="write_index"):
         launch(write_index, 10, [], "cpu", work_per_item=work_per_item)
+
+
+@pytest.mark.parametrize("wrong", [{"dtype": float}, {"dtype": int, "ndim": 2}])
+def test_arguments_are_checked_also_after_right_ones(wrong: dict[str, Any]) -> None:
+    np.testing.assert_array_equal(indices(3, 3, 1), [1, 2, 3])
+    size = (3,) * wrong.pop("ndim", 1)
+    with pytest.raises(RuntimeError, match="expects an array"):
+        launch(write_index, 3, [wp.zeros(size, device="cpu", **wrong)], "cpu")
+
+
+def test_a_later_launch_has_arguments_and_size_of_its_own() -> None:
+    arrays = [wp.zeros(n, dtype=int, device="cpu") for n in (4, 7)]
+    runs = [prepare(write_index, len(a), [a], "cpu") for a in arrays]
+    for run in reversed(runs):
+        run()
+    for array in arrays:
+        np.testing.assert_array_equal(array.numpy(), np.arange(len(array)) + 1)
+
+
+def test_arguments_live_no_longer_than_the_launch() -> None:
+    out = wp.zeros(3, dtype=int, device="cpu")
+    alive = weakref.ref(out)
+    run = prepare(write_index, 3, [out], "cpu")
+    del out
+    assert alive() is not None
+    run()
+    del run
+    gc.collect()
+    assert alive() is None
 
 
 def test_all_kernel_modules_are_loaded() -> None:

@@ -523,7 +523,7 @@ class SecondLookConfig(Section):
 
     below: Share = 0.6
     """An answer of a smaller confidence is looked at again; 0: none is."""
-    points: int = 600
+    points: int = 200
     """About so many segment points are held against the fingers."""
     near: float = 0.006
     """A segment point this near to a finger's surface starts to be explained by it [m]."""

@@ -14,8 +14,9 @@ from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
+from inhand.kernels.hand_fit import hand_distances
 from inhand.kernels.kinematics import Chain, pose_links
-from inhand.kernels.launch import launch, on_device, pack
+from inhand.kernels.launch import computed, launch, on_device, pack
 from inhand.kernels.pair_matching import PairTable
 from inhand.kernels.pose_distance import Surface
 from inhand.object_model import ObjectModel
@@ -89,6 +90,27 @@ class PackedHand:
     ) -> NDArray[np.float64]:
         """T_camera_link, shape (b, L, 4, 4), at joint vectors (b, n) and wrist poses (b, 4, 4)."""
         return np.asarray(T_camera_hand[:, None] @ self.hand.forward_kinematics(q))
+
+    def distances(
+        self,
+        points: NDArray[np.float32],
+        T_camera_link: Any,
+        links: NDArray[np.bool_],
+        farthest: float,
+    ) -> NDArray[np.float32]:
+        """Signed distances [m], (c, n), of points to some of the links, cut off at `farthest`.
+
+        Args:
+            points: camera frame [m], shape (n, 3).
+            T_camera_link: poses of all links, flat (c * L), on the device.
+            links: whether each of them counts, shape (L,).
+            farthest: [m].
+        """
+        used = on_device(links.astype(np.int32), int, self.device)
+        positions = on_device(points, wp.vec3, self.device)
+        inputs = [positions, self.fields, T_camera_link, used, farthest]
+        shape = len(T_camera_link) // len(links), len(points)
+        return computed(hand_distances, shape, float, inputs, self.device, work_per_item=10)
 
     def render(
         self,

@@ -237,36 +237,15 @@ def hand_distances(
     distance: wp.array(dtype=float),
     first: int,
 ):
-    """One work item a point: signed distance [m] to the posed hand, cut off at `farthest`."""
-    i = first + wp.tid()
-    nearest, _gradient, _link = nearest_body(fields, T_camera_link, 0, used, 0, points[i], farthest)
-    distance[i] = nearest
-
-
-@wp.kernel
-def explained_weights(
-    points: wp.array(dtype=wp.vec3),
-    weights: wp.array(dtype=float),
-    fields: Fields,
-    T_camera_link: wp.array(dtype=wp.mat44),
-    used: wp.array(dtype=int),
-    near: float,
-    explained: wp.array(dtype=float),
-    first: int,
-):
-    """One work item a hand state: weight of the points within `near` of its surface [m].
+    """One work item a pair of hand state and point: signed distance [m], cut off at `farthest`.
 
     Args (beyond the obvious):
         T_camera_link: link poses of all hand states, flat (c * L).
         used: per link; 0 leaves it out.
-        explained: out; a point counts less the farther away it is.
+        distance: out, flat (hand state, point).
     """
-    item, lane = wp.tid()
-    c = first + item
-    total = float(0.0)
-    for i in range(lane, points.shape[0], wp.block_dim()):
-        distance, _gradient, _link = nearest_body(
-            fields, T_camera_link, c * fields.start.shape[0], used, 0, points[i], near
-        )
-        total += weights[i] * wp.max(0.0, 1.0 - wp.abs(distance) / near)
-    explained[c] = block_sum(total)
+    i = first + wp.tid()
+    links = i // points.shape[0] * used.shape[0]
+    p = points[i % points.shape[0]]
+    nearest, _gradient, _link = nearest_body(fields, T_camera_link, links, used, 0, p, farthest)
+    distance[i] = nearest

@@ -1,14 +1,12 @@
 """Other hands that the image may show: a finger without support explains the object segment."""
 
+from typing import Any
+
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import EstimatorConfig, SecondLookConfig
-from inhand.geometry.se3 import Array
-from inhand.kernels.hand_fit import explained_weights
-from inhand.kernels.launch import computed, on_device
-from inhand.packed import PackedHand, device_poses
+from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import whole_hand_fit
 from inhand.stages.finger_search import configurations
 from inhand.stages.observation import Observation
@@ -41,39 +39,38 @@ def hands_in_segment(
         joints = configurations(finger, hand.hand, config.hand_state.samples)
         q = np.repeat(hand_state.joint_vector[None], len(joints), 0)
         q[:, finger.joints] = joints
-        poses = hand.link_poses(q, hand_state.T_camera_hand[None])
+        poses = hand.whole.pose(q, hand_state.T_camera_hand[None])
         explained = _explained(poses, finger.links, segment, hand, look)
         best = explained.argmax()
         if explained[best] < look.promising:
             continue
         q, T = fit.refine(q[best][None], hand_state.T_camera_hand[None], widths)
-        poses = hand.link_poses(q, T)
+        poses = hand.whole.pose(q, T)
         if _explained(poses, finger.links, segment, hand, look)[0] < look.explained:
             continue
         certain = hand_state.certain.copy()
         for link in finger.links:
             if _explained(poses, link, segment, hand, look)[0] > look.link_explained:
                 certain[link] = True
-        found.append(HandState(q[0], T[0], poses[0], certain, hand_state.allowed))
+        T_camera_link = hand.link_poses(q, T)[0]
+        found.append(HandState(q[0], T[0], T_camera_link, certain, hand_state.allowed))
     return found
 
 
 def _explained(
-    T_camera_link: Array,
+    T_camera_link: Any,
     links: NDArray[np.intp] | int,
     segment: Segment,
     hand: PackedHand,
     config: SecondLookConfig,
 ) -> NDArray[np.float32]:
-    """Shares (c,) of the segment's weight at the surface of some links posed at (c, L, 4, 4)."""
-    device = hand.device
+    """Shares (c,) of the segment's weight at the surface of some links.
+
+    `T_camera_link`: poses on the device, flat (c * L).
+    """
     stride = max(1, len(segment.points) // config.points)
-    weights = segment.weight[::stride]
-    used = np.zeros(len(hand.hand.links), dtype=np.int32)
-    used[links] = 1
-    points = on_device(segment.points[::stride], wp.vec3, device)
-    inputs = [points, on_device(weights, float, device), hand.fields]
-    inputs += [device_poses(T_camera_link, device), on_device(used, int, device), config.near]
-    kernel, shape, work = explained_weights, (len(T_camera_link),), 10 * len(weights)
-    explained = computed(kernel, shape, float, inputs, device, work_per_item=work, shared=True)
-    return explained / weights.sum()
+    points, weights = segment.points[::stride], segment.weight[::stride]
+    used = np.isin(np.arange(len(hand.hand.links)), links)
+    distance = hand.distances(points, T_camera_link, used, config.near)
+    near = np.maximum(0, 1 - np.abs(distance) / config.near)
+    return np.asarray(near @ weights / weights.sum())

@@ -3,13 +3,10 @@
 import math
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import SegmentationConfig
 from inhand.errors import NoAnswer
-from inhand.kernels.hand_fit import hand_distances
-from inhand.kernels.launch import computed, on_device
 from inhand.packed import PackedHand, device_poses
 from inhand.stages.background import Background
 from inhand.stages.observation import Cloud, Observation
@@ -104,8 +101,5 @@ def distances_to_hand(
     farthest: float,
 ) -> NDArray[np.float32]:
     """Signed distances (n,) [m] of points (n, 3) to some links, cut off at `farthest`."""
-    device = hand.device
-    poses = device_poses(hand_state.T_camera_link, device)
-    used = on_device(links.astype(np.int32), int, device)
-    inputs = [on_device(points, wp.vec3, device), hand.fields, poses, used, farthest]
-    return computed(hand_distances, (len(points),), float, inputs, device, work_per_item=10)
+    poses = device_poses(hand_state.T_camera_link, hand.device)
+    return hand.distances(points, poses, links, farthest)[0]
