@@ -14,7 +14,6 @@ from inhand.geometry.se3 import exp
 from inhand.kernels.hand_fit import Visibility, score_configurations
 from inhand.kernels.launch import computed
 from inhand.packed import device_poses
-from inhand.stages.segmentation import distances_to_hand
 
 SMALL = Camera(fx=100, fy=100, cx=20, cy=15, width=41, height=31)
 WALL = 0.5
@@ -226,25 +225,35 @@ def test_distances_to_the_posed_hand(seed: int, farthest: float) -> None:
     rng = np.random.default_rng(seed)
     points = scene.hand_state.T_camera_hand[:3, 3] + rng.uniform(-0.2, 0.2, (300, 3))
     links = np.ones(len(scene.hand.hand.links), dtype=bool)
-    found = distances_to_hand(
-        points.astype(np.float32), scene.hand_state, scene.hand, links, farthest
-    )
+    poses = device_poses(scene.hand_state.T_camera_link, "cpu")
+    found = scene.hand.distances(points.astype(np.float32), poses, links, farthest)[0]
     expected = np.minimum(distance_to_hand(points, scene.hand, scene.hand_state), farthest)
     # Fields are kept in half precision. At the border between two voxels rounding decides.
     assert np.mean(np.abs(found - expected) < 2e-6 + 2**-11 * np.abs(expected)) > 0.98
     np.testing.assert_allclose(found, expected, atol=0.001)
 
 
+def test_distances_to_several_posed_hands() -> None:
+    scene = held_object("cuboid")
+    T = np.stack([scene.hand_state.T_camera_link, scene.hand_state.T_camera_link])
+    T[1, :, :3, 3] += 0.01
+    links = np.ones(T.shape[1], dtype=bool)
+    both = scene.hand.distances(scene.observation.points, device_poses(T, "cpu"), links, 0.5)
+    for poses, found in zip(T, both, strict=True):
+        alone = scene.hand.distances(
+            scene.observation.points, device_poses(poses, "cpu"), links, 0.5
+        )
+        np.testing.assert_array_equal(found, alone[0])
+    assert (both[0] != both[1]).any()
+
+
 def test_links_that_are_left_out_are_not_there() -> None:
     scene = held_object("cuboid")
     points = scene.observation.points
-    count = len(scene.hand.hand.links)
-    each = [
-        distances_to_hand(points, scene.hand_state, scene.hand, np.arange(count) == i, 0.5)
-        for i in range(count)
-    ]
+    count, poses = len(scene.hand.hand.links), device_poses(scene.hand_state.T_camera_link, "cpu")
+    each = [scene.hand.distances(points, poses, np.arange(count) == i, 0.5) for i in range(count)]
     some = np.isin(np.arange(count), [0, 3])
-    found = distances_to_hand(points, scene.hand_state, scene.hand, some, 0.5)
+    found = scene.hand.distances(points, poses, some, 0.5)
     np.testing.assert_array_equal(found, np.minimum(each[0], each[3]))
-    nothing = distances_to_hand(points, scene.hand_state, scene.hand, np.zeros(count, bool), 0.5)
+    nothing = scene.hand.distances(points, poses, np.zeros(count, bool), 0.5)
     np.testing.assert_array_equal(nothing, 0.5)

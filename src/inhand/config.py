@@ -465,8 +465,10 @@ class SelectionConfig(Section):
     for poses that are not refined yet."""
     grasps: int = 12
     """`likelihood`: poses that hidden fingers are placed against."""
-    finger_points: int = 25
+    finger_points: int = 12
     """`likelihood`: surface samples of a finger link that are held against the object for it."""
+    placed_finger_points: int = 25
+    """`likelihood`: the same against the first pose, to place the finger."""
     finger_visibility: NonNegative = 0.5
     """`likelihood`: weight of a configuration's visibility score in it."""
     finger_elsewhere: NonNegative = 0.2

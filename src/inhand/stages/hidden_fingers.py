@@ -9,7 +9,7 @@ from inhand.kernels.contact import configuration_clearances
 from inhand.kernels.launch import computed
 from inhand.packed import PackedObject, PackedPart, device_poses
 from inhand.stages.evidence import Evidence, gap_cost, penetration_cost
-from inhand.stages.results import PoseSet
+from inhand.stages.results import Configurations, PoseSet
 
 
 def place_hidden_fingers(
@@ -27,42 +27,53 @@ def place_hidden_fingers(
         obj: the object.
         config: parameters.
     """
-    state, hand = evidence.hand_state, evidence.hand
-    n = min(config.grasps, len(ranked))
-    score, joints = ranked.score.copy(), np.repeat(state.joint_vector[None], n, 0)
-    if n == 0:
-        return ranked, state.joint_vector
-    for finger, allowed in zip(hand.fingers, state.allowed, strict=False):
-        if state.certain[finger.links].all():
-            continue
-        tried = np.concatenate([state.joint_vector[None, finger.joints], allowed.joints])
-        doubt = config.finger_visibility * (allowed.score[0] - allowed.score)
-        doubt = np.concatenate([[0.0], doubt])
-        clearance = _clearances(ranked.T_camera_object[:n], obj, finger, tried, evidence, config)
-        apart = gap_cost(clearance, evidence.config) / len(hand.fingers)
-        cost = doubt + penetration_cost(-clearance, evidence.config) + apart
+    state = evidence.hand_state
+    n, score = min(config.grasps, len(ranked)), ranked.score.copy()
+    joints = state.joint_vector.copy()
+    hidden = [
+        (finger, allowed)
+        for finger, allowed in zip(evidence.hand.fingers, state.allowed, strict=False)
+        if n > 0 and not state.certain[finger.links].all()
+    ]
+    for which in hidden:
+        poses, points = ranked.T_camera_object[:n], config.finger_points
+        _, cost, apart = _places(*which, poses, points, obj, evidence, config)
         score[:n] += apart[:, 0] - cost.min(axis=1)
+    order = np.concatenate([np.argsort(-score[:n], kind="stable"), np.arange(n, len(ranked))])
+    ranked = PoseSet(ranked.T_camera_object[order], score[order])
+    for which in hidden:
+        poses, points = ranked.T_camera_object[:1], config.placed_finger_points
+        places, cost, _ = _places(*which, poses, points, obj, evidence, config)
         # The image's own place for it may be uncertain, but is more than a guess.
         cost[:, 1:] += config.finger_elsewhere
-        joints[:, finger.joints] = tried[cost.argmin(axis=1)]
-    order = np.concatenate([np.argsort(-score[:n], kind="stable"), np.arange(n, len(ranked))])
-    return PoseSet(ranked.T_camera_object[order], score[order]), joints[order[0]]
+        joints[which[0].joints] = places[cost.argmin()]
+    return ranked, joints
 
 
-def _clearances(
-    T_camera_object: NDArray[np.float32],
-    obj: PackedObject,
+def _places(
     finger: PackedPart,
-    joints: Array,
+    allowed: Configurations,
+    T_camera_object: NDArray[np.float32],
+    points: int,
+    obj: PackedObject,
     evidence: Evidence,
     config: SelectionConfig,
-) -> NDArray[np.float32]:
-    """Smallest signed distances [m], (m, c), of a finger at joints (c, k) to posed objects."""
-    device, c = obj.device, evidence.config
-    samples = int(np.minimum(finger.counts, config.finger_points).sum())
-    links = finger.pose(joints, evidence.hand_state.T_camera_hand[None])
+) -> tuple[Array, Array, Array]:
+    """Joints (c, k) of a finger where the image alone has put it and of all that the image allows,
+    what each of them costs with each object pose, (m, c), and the part of it for the gap.
+
+    `points`: surface samples of a link that are held against the object.
+    """
+    c, state, device = evidence.config, evidence.hand_state, obj.device
+    joints = np.concatenate([state.joint_vector[None, finger.joints], allowed.joints])
+    samples = int(np.minimum(finger.counts, points).sum())
+    links = finger.pose(joints, state.T_camera_hand[None])
     inputs = [device_poses(T_camera_object, device), obj.fields, links, len(finger.links)]
     inputs += [len(joints), finger.points, finger.link, samples]
     inputs += [c.free_finger_gap + c.finger_gap_scale]
     shape, work = (len(T_camera_object), len(joints)), 4 * samples
-    return computed(configuration_clearances, shape, float, inputs, device, work_per_item=work)
+    kernel = configuration_clearances
+    clearance = computed(kernel, shape, float, inputs, device, work_per_item=work)
+    apart = gap_cost(clearance, c) / len(evidence.hand.fingers)
+    doubt = config.finger_visibility * (allowed.score[0] - allowed.score)
+    return joints, np.append(0.0, doubt) + penetration_cost(-clearance, c) + apart, apart

@@ -37,8 +37,8 @@ def segment_object(
     cloud, soft = Cloud(observation.points, observation.normals), config.method == "soft"
     if soft:
         links, near = np.ones(len(hand.hand.links), dtype=bool), 2 * config.hand_distance
-        to_hand = distances_to_hand(cloud.points, hand_state, hand, links, near)
-        is_hand = to_hand < config.hand_distance
+        poses = device_poses(hand_state.T_camera_link, hand.device)
+        is_hand = hand.distances(cloud.points, poses, links, near)[0] < config.hand_distance
         background = Background(observation, is_hand, object_diameter, config)
         cloud = background.removed_from(cloud)
     segment = _segment(cloud, hand_state, hand, object_diameter, config)
@@ -66,11 +66,12 @@ def _segment(
     # An object that a finger touches ends within its diameter of that finger.
     reach = object_diameter + config.certain_distance
     certain, moving = hand_state.certain, ~hand.is_palm
-    to_certain = distances_to_hand(cloud.points, hand_state, hand, certain, FAR)
+    poses = device_poses(hand_state.T_camera_link, hand.device)
+    to_certain = hand.distances(cloud.points, poses, certain, FAR)[0]
     if config.method != "none":
         rest = to_certain >= config.hand_distance
         cloud, to_certain = Cloud(cloud.points[rest], cloud.normals[rest]), to_certain[rest]
-    to_finger = distances_to_hand(cloud.points, hand_state, hand, moving, 1.01 * reach)
+    to_finger = hand.distances(cloud.points, poses, moving, 1.01 * reach)[0]
     to_hand = np.minimum(to_certain, to_finger)
     if config.method == "none":
         weight = np.ones(len(cloud.points), dtype=np.float32)
@@ -91,15 +92,3 @@ def _not_hand(distance: NDArray[np.float32], config: SegmentationConfig) -> NDAr
     span = config.certain_distance - config.hand_distance
     weight = np.clip((distance - config.hand_distance) / span, 0.1, 1)
     return np.where(distance > config.hand_distance, weight, 0.0).astype(np.float32)
-
-
-def distances_to_hand(
-    points: NDArray[np.float32],
-    hand_state: HandState,
-    hand: PackedHand,
-    links: NDArray[np.bool_],
-    farthest: float,
-) -> NDArray[np.float32]:
-    """Signed distances (n,) [m] of points (n, 3) to some links, cut off at `farthest`."""
-    poses = device_poses(hand_state.T_camera_link, hand.device)
-    return hand.distances(points, poses, links, farthest)[0]

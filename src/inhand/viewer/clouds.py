@@ -9,10 +9,10 @@ from inhand.camera import Camera
 from inhand.geometry.se3 import Array, transform
 from inhand.hand import Hand
 from inhand.overlay import HAND_COLOUR, OBJECT_COLOUR, Colour, Pixels
-from inhand.packed import PackedHand
+from inhand.packed import PackedHand, device_poses
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment
-from inhand.stages.segmentation import FAR, distances_to_hand
+from inhand.stages.segmentation import FAR
 
 EXPLAINED = 0.003
 """Points this near to the hand are drawn as the hand's [m], as the segmentation counts them."""
@@ -40,7 +40,8 @@ def plain(observation: Observation) -> Cloud:
 def by_hand(observation: Observation, state: HandState, hand: PackedHand) -> Cloud:
     """The scene cloud, the hand's points in its colour."""
     links = np.ones(len(hand.hand.links), dtype=bool)
-    distance = distances_to_hand(observation.points, state, hand, links, FAR)
+    poses = device_poses(state.T_camera_link, hand.device)
+    distance = hand.distances(observation.points, poses, links, FAR)[0]
     colours = np.where(distance[:, None] < EXPLAINED, HAND_COLOUR, GREY)
     return Cloud(observation.points, colours.astype(np.uint8))
 
