@@ -340,7 +340,7 @@ class ClusteringConfig(Section):
     """`distinct`: depth agreement of a model point with its pixel [m]."""
     model_points: int = 100
     """`distinct`: model points in that scoring."""
-    contact_points: int = 32
+    contact_points: int = 16
     """`distinct`: model points held against the hand."""
     segment_points: int = 100
     """`distinct`: segment points in that scoring."""
@@ -372,7 +372,7 @@ class RefinementConfig(Section):
     """`field`: segment points, and model points, used in those."""
     tolerance: float = 0.005
     """`field`: depth agreement of a model point with its pixel in the scoring between them [m]."""
-    contact_points: int = 48
+    contact_points: int = 24
     """`field`: model points held against the hand in it."""
     surface_distance: float = 0.001
     """`field`: poses whose surfaces are nearer on average are one by then [m]."""
