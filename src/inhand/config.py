@@ -525,8 +525,10 @@ class SecondLookConfig(Section):
 
     below: Share = 0.6
     """An answer of a smaller confidence is looked at again; 0: none is."""
+    samples: int = 256
+    """Configurations of a finger that are tried, all over its range: a power of two up to this."""
     points: int = 200
-    """About so many segment points are held against the fingers."""
+    """About so many segment points are held against them."""
     near: float = 0.006
     """A segment point this near to a finger's surface starts to be explained by it [m]."""
     promising: Share = 0.15

@@ -36,7 +36,7 @@ def hands_in_segment(
     for finger in hand.fingers:
         if hand_state.certain[finger.links].all():
             continue
-        joints = configurations(finger, hand.hand, config.hand_state.samples)
+        joints = configurations(finger, hand.hand, look.samples)
         q = np.repeat(hand_state.joint_vector[None], len(joints), 0)
         q[:, finger.joints] = joints
         poses = hand.whole.pose(q, hand_state.T_camera_hand[None])
@@ -52,8 +52,7 @@ def hands_in_segment(
         for link in finger.links:
             if _explained(poses, link, segment, hand, look)[0] > look.link_explained:
                 certain[link] = True
-        T_camera_link = hand.link_poses(q, T)[0]
-        found.append(HandState(q[0], T[0], T_camera_link, certain, hand_state.allowed))
+        found.append(HandState(q[0], T[0], hand.link_poses(q, T)[0], certain, hand_state.allowed))
     return found
 
 
