@@ -11,6 +11,7 @@ import pytest
 import tiny_urdf
 
 from inhand import EstimatorConfig, Hand, PoseEstimate, PoseEstimator
+from inhand.builtin.hand import write_hand
 from inhand.camera import Camera
 from inhand.errors import InputError
 from inhand.estimator import StageResults
@@ -295,6 +296,25 @@ def one_finger_without_a_palm(folder: Path) -> Hand:
             tiny_urdf.joint("turn", "palm", "finger", "continuous", inside=""),
         )
     )
+
+
+@pytest.mark.parametrize("number", [2, 6])
+def test_a_joint_that_moves_no_shape_changes_nothing(
+    scenes: list[Scene], number: int, tmp_path: Path
+) -> None:
+    """In the URDF of a hand whose sensor turns, that joint may come before those of the fingers."""
+    scene = scenes[number]
+    urdf = write_hand(tmp_path)
+    start = '<robot name="adaptive_hand">'
+    sensor = tiny_urdf.link("sensor", None) + tiny_urdf.joint("pan", "palm", "sensor")
+    urdf.write_text(urdf.read_text().replace(start, start + sensor))
+    hand = Hand.from_urdf(urdf)
+    assert hand.joint_names == ("pan", *scene.hand.joint_names)
+    plain, found = (
+        estimate(PoseEstimator(h, scene.obj, device="cpu"), scene) for h in (scene.hand, hand)
+    )
+    angles = {name: q for name, q in found.joint_positions.items() if name != "pan"}
+    assert_same(replace(found, joint_positions=angles), plain)
 
 
 BUILDS: list[tuple[Callable[[Path], Hand], list[float]]] = [

@@ -91,6 +91,10 @@ class PackedHand:
         """T_camera_link, shape (b, L, 4, 4), at joint vectors (b, n) and wrist poses (b, 4, 4)."""
         return np.asarray(T_camera_hand[:, None] @ self.hand.forward_kinematics(q))
 
+    def pose(self, q: NDArray[np.float64], T_camera_hand: NDArray[np.float64]) -> Any:
+        """The same, flat (b * L), on the device; one wrist pose (1, 4, 4) does for all."""
+        return self.whole.pose(q[:, self.whole.joints], T_camera_hand)
+
     def distances(
         self,
         points: NDArray[np.float32],
@@ -106,10 +110,9 @@ class PackedHand:
             links: whether each of them counts, shape (L,).
             farthest: [m].
         """
-        used = on_device(links.astype(np.int32), int, self.device)
-        positions = on_device(points, wp.vec3, self.device)
-        inputs = [positions, self.fields, T_camera_link, used, farthest]
-        shape = len(T_camera_link) // len(links), len(points)
+        used, shape = links.astype(np.int32), (len(T_camera_link) // len(links), len(points))
+        inputs = [on_device(points, wp.vec3, self.device), self.fields, T_camera_link]
+        inputs += [on_device(used, int, self.device), farthest]
         return computed(hand_distances, shape, float, inputs, self.device, work_per_item=10)
 
     def render(

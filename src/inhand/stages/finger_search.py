@@ -123,7 +123,7 @@ class FingerSearch:
 
     def _poses(self, q: Array, T_camera_hand: Array) -> NDArray[np.float32]:
         """Link poses (L, 4, 4) at joint vector (n,)."""
-        return np.asarray(self.packed.whole.pose(q[None], T_camera_hand[None]).numpy())
+        return np.asarray(self.packed.pose(q[None], T_camera_hand[None]).numpy())
 
     def _palm(self, q: Array, T_camera_hand: Array) -> Any:
         """Depth [m] of the palm, on the device.

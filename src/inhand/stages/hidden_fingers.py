@@ -69,11 +69,10 @@ def _places(
     samples = int(np.minimum(finger.counts, points).sum())
     links = finger.pose(joints, state.T_camera_hand[None])
     inputs = [device_poses(T_camera_object, device), obj.fields, links, len(finger.links)]
-    inputs += [len(joints), finger.points, finger.link, samples]
-    inputs += [c.free_finger_gap + c.finger_gap_scale]
+    farthest = c.free_finger_gap + c.finger_gap_scale
+    inputs += [len(joints), finger.points, finger.link, samples, farthest]
     shape, work = (len(T_camera_object), len(joints)), 4 * samples
-    kernel = configuration_clearances
-    clearance = computed(kernel, shape, float, inputs, device, work_per_item=work)
+    clearance = computed(configuration_clearances, shape, float, inputs, device, work_per_item=work)
     apart = gap_cost(clearance, c) / len(evidence.hand.fingers)
     doubt = config.finger_visibility * (allowed.score[0] - allowed.score)
     return joints, np.append(0.0, doubt) + penetration_cost(-clearance, c) + apart, apart

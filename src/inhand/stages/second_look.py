@@ -39,13 +39,13 @@ def hands_in_segment(
         joints = configurations(finger, hand.hand, look.samples)
         q = np.repeat(hand_state.joint_vector[None], len(joints), 0)
         q[:, finger.joints] = joints
-        poses = hand.whole.pose(q, hand_state.T_camera_hand[None])
+        poses = hand.pose(q, hand_state.T_camera_hand[None])
         explained = _explained(poses, finger.links, segment, hand, look)
         best = explained.argmax()
         if explained[best] < look.promising:
             continue
         q, T = fit.refine(q[best][None], hand_state.T_camera_hand[None], widths)
-        poses = hand.whole.pose(q, T)
+        poses = hand.pose(q, T)
         if _explained(poses, finger.links, segment, hand, look)[0] < look.explained:
             continue
         certain = hand_state.certain.copy()
