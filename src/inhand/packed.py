@@ -92,7 +92,7 @@ class PackedHand:
         return np.asarray(T_camera_hand[:, None] @ self.hand.forward_kinematics(q))
 
     def pose(self, q: NDArray[np.float64], T_camera_hand: NDArray[np.float64]) -> Any:
-        """The same, flat (b * L), on the device; one wrist pose (1, 4, 4) does for all."""
+        """As `link_poses`, flat (b * L), on the device; one wrist pose, (1, 4, 4), does for all."""
         return self.whole.pose(q[:, self.whole.joints], T_camera_hand)
 
     def distances(
