@@ -35,18 +35,18 @@ def place_hidden_fingers(
         for finger, allowed in zip(evidence.hand.fingers, state.allowed, strict=False)
         if n > 0 and not state.certain[finger.links].all()
     ]
-    for which in hidden:
+    for finger, allowed in hidden:
         poses, points = ranked.T_camera_object[:n], config.finger_points
-        _, cost, apart = _places(*which, poses, points, obj, evidence, config)
+        _, cost, apart = _places(finger, allowed, poses, points, obj, evidence, config)
         score[:n] += apart[:, 0] - cost.min(axis=1)
     order = np.concatenate([np.argsort(-score[:n], kind="stable"), np.arange(n, len(ranked))])
     ranked = PoseSet(ranked.T_camera_object[order], score[order])
-    for which in hidden:
+    for finger, allowed in hidden:
         poses, points = ranked.T_camera_object[:1], config.placed_finger_points
-        places, cost, _ = _places(*which, poses, points, obj, evidence, config)
+        places, cost, _ = _places(finger, allowed, poses, points, obj, evidence, config)
         # The image's own place for it may be uncertain, but is more than a guess.
         cost[:, 1:] += config.finger_elsewhere
-        joints[which[0].joints] = places[cost.argmin()]
+        joints[finger.joints] = places[cost.argmin()]
     return ranked, joints
 
 
