@@ -71,6 +71,7 @@ def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     monkeypatch.setattr(wp.array, "__init__", create_apart)
     monkeypatch.setattr(wp.array, "numpy", lambda array: read(array).copy())
+    monkeypatch.setattr(seam, "_takes_numpy", lambda _device: False)
     monkeypatch.setattr(seam, "_run", run)
     monkeypatch.setattr(seam, "HANDOVER_OPERATIONS", 1)
     monkeypatch.setattr(seam, "cpu_count", lambda: 23)

@@ -43,15 +43,15 @@ def test_every_item_runs_exactly_once(dim: int, work_per_item: int) -> None:
 
 @pytest.fixture
 def launches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Sizes of the launches that Warp runs, on a machine of three cores."""
+    """Sizes of the launches that are run, on a machine of three cores."""
     sizes: list[int] = []
-    run = wp.Launch.launch
+    run = seam._HostCommand.launch
 
     def record(command: Any) -> None:
         sizes.append(command.bounds.size)
         run(command)
 
-    monkeypatch.setattr(wp.Launch, "launch", record)
+    monkeypatch.setattr(seam._HostCommand, "launch", record)
     monkeypatch.setattr(seam, "cpu_count", lambda: 3)
     return sizes
 

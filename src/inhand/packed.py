@@ -16,7 +16,7 @@ from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.hand_fit import hand_distances
 from inhand.kernels.kinematics import Chain, pose_links
-from inhand.kernels.launch import computed, launch, on_device, pack
+from inhand.kernels.launch import computed, empty, launch, on_device, pack
 from inhand.kernels.pair_matching import PairTable
 from inhand.kernels.pose_distance import Surface
 from inhand.object_model import ObjectModel
@@ -183,7 +183,7 @@ class PackedPart:
             T_camera_hand: wrist poses, shape (c, 4, 4), or (1, 4, 4) for all.
         """
         joints = wp.empty((len(q), self._joint_count), dtype=wp.mat44d, device=self.device)
-        links = wp.empty(len(q) * len(self.links), dtype=wp.mat44, device=self.device)
+        links = empty(len(q) * len(self.links), wp.mat44, self.device)
         wrists = on_device(T_camera_hand, wp.mat44d, self.device)
         positions = on_device(q, wp.float64, self.device)
         inputs = [self.chain, positions, wrists, joints, links]

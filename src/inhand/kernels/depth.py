@@ -1,6 +1,7 @@
 """Depth images of posed meshes by ray casting."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from inhand.camera import Camera
 from inhand.geometry.mesh import TriangleMesh
-from inhand.kernels.launch import launch
+from inhand.kernels.launch import launch, pack
 from inhand.kernels.mesh_queries import device_mesh
 from inhand.kernels.transforms import to_local
 
@@ -26,12 +27,10 @@ class Pinhole:
     height: int
 
 
+@lru_cache(32)
 def pinhole(camera: Camera) -> Any:
     """`camera` as a kernel argument."""
-    p = Pinhole()
-    p.fx, p.fy, p.cx, p.cy = camera.fx, camera.fy, camera.cx, camera.cy
-    p.width, p.height = camera.width, camera.height
-    return p
+    return pack(Pinhole, "cpu", **vars(camera))
 
 
 @wp.kernel

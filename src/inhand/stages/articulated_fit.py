@@ -21,7 +21,7 @@ from inhand.geometry.se3 import Array
 from inhand.kernels import gauss_newton as kernels
 from inhand.kernels import hand_terms
 from inhand.kernels.kinematics import Twist
-from inhand.kernels.launch import block_size, launch, on_device, prepare
+from inhand.kernels.launch import block_size, in_struct, launch, prepare
 from inhand.kernels.normal_equations import Vector6
 from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
@@ -72,8 +72,8 @@ class ArticulatedFit:
         p.fields, p.chain = hand.fields, hand.chain
         p.hand_points, p.hand_normals, p.hand_link = hand.points, hand.normals, hand.link
         p.lower, p.upper = hand.lower, hand.upper
-        p.used = on_device(used.astype(np.int32), int, device)
-        p.free = on_device(free.astype(np.int32), int, device)
+        p.used = in_struct(used.astype(np.int32), int, device)
+        p.free = in_struct(free.astype(np.int32), int, device)
         p.prior.T_camera_hand = wp.mat44d(prior.T_camera_hand)
         p.prior.rotation, p.prior.translation = prior.sd_rotation**-2.0, prior.sd_translation**-2.0
         p.joint_damping = joint_damping
@@ -114,7 +114,7 @@ class ArticulatedFit:
         links, joints = len(hand.hand.links), len(hand.hand.chain.parent)
         empty = partial(wp.empty, device=device)
         problem, state = self.problem, hand_terms.FitState()
-        problem.widths = on_device(widths, float, device)
+        problem.widths = in_struct(widths, float, device)
         problem.stride = stride
         problem.information = stride * self.point_information
         # Copies: the kernels move them.

@@ -15,7 +15,7 @@ from inhand.config import (
     SelectionConfig,
 )
 from inhand.kernels.contact import link_clearances
-from inhand.kernels.launch import computed, on_device
+from inhand.kernels.launch import computed, in_struct
 from inhand.kernels.object_fit import ObjectEvidence, score_poses
 from inhand.packed import PackedHand, PackedObject, device_poses
 from inhand.stages.hand_visibility import visibility_rule
@@ -72,9 +72,9 @@ def gather_evidence(
     # A fixed shuffle makes every strided subset an even sample of the segment.
     order = np.random.default_rng(0).permutation(len(segment.points))
     weights = segment.weight[order]
-    e.points = on_device(segment.points[order], wp.vec3, device)
-    e.normals = on_device(segment.normals[order], wp.vec3, device)
-    e.weights = on_device(weights, float, device)
+    e.points = in_struct(segment.points[order], wp.vec3, device)
+    e.normals = in_struct(segment.normals[order], wp.vec3, device)
+    e.weights = in_struct(weights, float, device)
     e.near, e.share_weight = config.near, config.share_weight
     return Evidence(e, weights, hand, hand_state, config)
 

@@ -10,6 +10,7 @@ from scipy.stats import qmc
 from inhand.config import HandStateConfig
 from inhand.geometry.se3 import Array
 from inhand.hand import Hand
+from inhand.kernels.launch import on_host
 from inhand.kinematics import PRISMATIC
 from inhand.packed import PackedHand, PackedPart
 from inhand.stages.hand_visibility import HandVisibility
@@ -123,7 +124,7 @@ class FingerSearch:
 
     def _poses(self, q: Array, T_camera_hand: Array) -> NDArray[np.float32]:
         """Link poses (L, 4, 4) at joint vector (n,)."""
-        return np.asarray(self.packed.pose(q[None], T_camera_hand[None]).numpy())
+        return on_host(self.packed.pose(q[None], T_camera_hand[None]))
 
     def _palm(self, q: Array, T_camera_hand: Array) -> Any:
         """Depth [m] of the palm, on the device.

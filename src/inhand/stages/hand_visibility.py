@@ -1,6 +1,7 @@
 """How well posed links of the hand agree with what the camera sees of them."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from inhand.config import EvidenceConfig, HandStateConfig
 from inhand.kernels.hand_fit import SupportSums, Visibility, link_support, score_configurations
-from inhand.kernels.launch import computed
+from inhand.kernels.launch import computed, on_device, pack
 from inhand.packed import PackedHand, PackedPart, device_poses
 from inhand.stages.observation import Observation
 
@@ -30,7 +31,8 @@ class HandVisibility:
         self._view = observation.view
         self._noise = config.noise_tolerance * observation.noise
         coarse = observation.camera.subsampled(config.render_step)
-        self._nothing = wp.zeros(coarse.width * coarse.height, dtype=float, device=hand.device)
+        nothing = np.zeros(coarse.width * coarse.height, dtype=np.float32)
+        self._nothing = on_device(nothing, float, hand.device)
 
     def score(
         self,
@@ -91,7 +93,7 @@ def hand_support(
     device, count = hand.device, len(hand.hand.links)
     noise = config.noise_tolerance * observation.noise
     rule = visibility_rule(config, max(config.fine_tolerance, noise))
-    start = wp.array(hand.point_start, dtype=int, device=device)
+    start = on_device(hand.point_start, int, device)
     coarse = observation.camera.subsampled(config.render_step)
     shown = wp.full(coarse.width * coarse.height, -1, dtype=int, device=device)
     depth = hand.render(coarse, T_camera_link, np.ones(count, dtype=bool), link=shown)
@@ -108,7 +110,10 @@ def hand_support(
 
 def visibility_rule(config: HandStateConfig | EvidenceConfig, tolerance: float) -> Any:
     """How surface points are judged, for kernels; the tolerance in [m]."""
-    rule = Visibility()
-    rule.tolerance = tolerance
-    rule.violation, rule.missing, rule.hidden = config.violation, config.missing, config.hidden
-    return rule
+    c = config
+    return _rule(tolerance=tolerance, violation=c.violation, missing=c.missing, hidden=c.hidden)
+
+
+@lru_cache(32)
+def _rule(**members: float) -> Any:
+    return pack(Visibility, "cpu", **members)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from inhand.config import HypothesesConfig
 from inhand.errors import NoAnswer
-from inhand.kernels.launch import launch, on_device
+from inhand.kernels.launch import empty, launch, on_device, on_host
 from inhand.kernels.pair_matching import match_pairs
 from inhand.packed import PackedObject
 from inhand.stages.congruent_sets import generate_from_congruent_sets
@@ -40,12 +40,12 @@ def generate_hypotheses(
         return generate_from_congruent_sets(segment, obj, config, rng)
     device, matches = obj.device, config.matches
     pairs = _sample_pairs(segment, obj, config, rng)
-    drawn: Any = wp.empty(len(pairs[0]) * matches, dtype=wp.mat44, device=device)
+    drawn: Any = empty(len(pairs[0]) * matches, wp.mat44, device)
     inputs = [on_device(x, wp.vec3, device) for x in (segment.points, segment.normals)]
     inputs += [on_device(index, int, device) for index in pairs]
     inputs += [obj.pairs, matches, int(rng.integers(2**31)), drawn]
     launch(match_pairs, len(pairs[0]), inputs, device, work_per_item=10 * matches)
-    poses = drawn.numpy()
+    poses = on_host(drawn)
     poses = poses[poses[:, 3, 3] > 0]  # an empty draw is a zero matrix
     if not len(poses):
         raise NoAnswer("no part of the object segment matches the object's shape")

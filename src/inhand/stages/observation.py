@@ -15,7 +15,7 @@ from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
 from inhand.kernels.depth_image import RowSums, fit_planes, missing_in_rows, missing_share, sum_rows
 from inhand.kernels.hand_fit import DepthView
-from inhand.kernels.launch import computed, launch, on_device
+from inhand.kernels.launch import computed, in_struct, launch
 
 NEAREST = 1e-3
 """Smaller depths are no readings [m]; their inverses would overflow."""
@@ -67,7 +67,7 @@ class Observation:
     def cloud_on_device(self) -> list[Any]:
         """Points and normals of the scene cloud, `wp.array` of vec3."""
         device = self.view.depth.device
-        return [on_device(vectors, wp.vec3, device) for vectors in (self.points, self.normals)]
+        return [in_struct(vectors, wp.vec3, device) for vectors in (self.points, self.normals)]
 
     def cloud(self, step: int, around: NDArray[np.float32] | None = None) -> Cloud:
         """The scene cloud made of every `step`-th pixel, along either side.
@@ -126,7 +126,7 @@ def observe(
         )
     view = DepthView()
     view.camera = pinhole(roi)
-    view.depth = on_device(window.reshape(-1), float, device)
+    view.depth = in_struct(window.reshape(-1), float, device)
     view.normals = wp.empty(window.size, dtype=wp.vec3, device=device)
     view.missing = wp.empty(window.size, dtype=float, device=device)
     smooth = _find_surfaces(view, far, config)

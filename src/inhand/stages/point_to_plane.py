@@ -8,7 +8,7 @@ from inhand.config import RefinementConfig
 from inhand.kernels.depth import bounding_sphere
 from inhand.kernels.launch import launch
 from inhand.kernels.point_to_plane import RigidModel, align_to_points
-from inhand.packed import PackedObject, device_poses
+from inhand.packed import PackedObject
 from inhand.stages.lcp import segment_lcp
 from inhand.stages.results import PoseSet, Segment
 from inhand.stages.se3_clustering import leaders_of
@@ -35,12 +35,12 @@ def align_model(
     device = obj.device
     model = RigidModel()
     model.fields = obj.fields
-    model.T_model_part = device_poses(np.eye(4), device)
+    model.T_model_part = wp.array([np.eye(4)], dtype=wp.mat44, device=device)
     model.used = wp.ones(1, dtype=int, device=device)
     model.centre = wp.vec3(*obj.model.centre)
     model.radius = bounding_sphere(obj.model.mesh)[3]
     # A copy: the kernel moves it.
-    aligned = wp.clone(device_poses(poses.T_camera_object, device))
+    aligned = wp.array(poses.T_camera_object, dtype=wp.mat44, device=device)
     inputs = [
         model,
         wp.array(segment.points, dtype=wp.vec3, device=device),

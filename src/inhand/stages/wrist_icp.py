@@ -7,7 +7,7 @@ import warp as wp
 from inhand.config import WristConfig
 from inhand.kernels.launch import launch
 from inhand.kernels.point_to_plane import RigidModel, align_to_points
-from inhand.packed import PackedHand, device_poses
+from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
 from inhand.stages.results import Wrist
 
@@ -28,13 +28,13 @@ def fit_wrist_icp(observation: Observation, hand: PackedHand, config: WristConfi
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     model = RigidModel()
     model.fields = hand.fields
-    model.T_model_part = device_poses(T_hand_link, device)
+    model.T_model_part = wp.array(T_hand_link, dtype=wp.mat44, device=device)
     used = np.isin(np.arange(len(links)), palm).astype(np.int32)
     model.used = wp.array(used, dtype=int, device=device)
     model.centre = wp.vec3(*centre)
     model.radius = float(np.linalg.norm(vertices - centre, axis=1).max())
     # A copy: the kernel moves it.
-    pose = wp.clone(device_poses(observation.T_camera_hand, device))
+    pose = wp.array([observation.T_camera_hand], dtype=wp.mat44, device=device)
     inputs = [
         model,
         *observation.cloud_on_device,
