@@ -1,6 +1,7 @@
 import gc
 import re
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ from inhand.errors import InputError
 from inhand.kernels import launch as seam
 from inhand.kernels.launch import (
     cpu_count,
+    empty,
     launch,
     load_all_kernels,
     on_all_cores,
+    on_device,
+    on_host,
     prepare,
     resolve_device,
 )
@@ -115,13 +119,46 @@ def test_arguments_are_checked_also_after_right_ones(wrong: dict[str, Any]) -> N
         launch(write_index, 3, [wp.zeros(size, device="cpu", **wrong)], "cpu")
 
 
-def test_a_later_launch_has_arguments_and_size_of_its_own() -> None:
-    arrays = [wp.zeros(n, dtype=int, device="cpu") for n in (4, 7)]
+@pytest.mark.parametrize(
+    "zeros",
+    [lambda n: wp.zeros(n, dtype=int, device="cpu"), lambda n: np.zeros(n, dtype=np.int32)],
+    ids=["warp", "numpy"],
+)
+def test_a_later_launch_has_arguments_and_size_of_its_own(zeros: Callable[[int], Any]) -> None:
+    arrays = [zeros(n) for n in (4, 7)]
     runs = [prepare(write_index, len(a), [a], "cpu") for a in arrays]
     for run in reversed(runs):
         run()
     for array in arrays:
-        np.testing.assert_array_equal(array.numpy(), np.arange(len(array)) + 1)
+        np.testing.assert_array_equal(on_host(array), np.arange(len(array)) + 1)
+
+
+@pytest.mark.parametrize("wrong", [np.zeros(3, np.float32), np.zeros((3, 3), np.int32)])
+def test_numpy_arrays_are_checked_also_after_right_ones(wrong: np.ndarray) -> None:
+    launch(write_index, 3, [np.zeros(3, np.int32)], "cpu")
+    with pytest.raises((RuntimeError, AssertionError), match=r"array|other dimensions"):
+        launch(write_index, 3, [wrong], "cpu")
+    assert not wrong.any()
+
+
+@given(
+    st.sampled_from([(wp.vec3, (3,)), (wp.mat44, (4, 4)), (int, ()), (wp.float64, ())]),
+    st.integers(0, 5),
+    st.booleans(),
+)
+def test_arrays_for_kernels_hold_what_they_are_given(
+    kind: tuple[Any, tuple[int, ...]], count: int, other_order: bool
+) -> None:
+    dtype, of_value = kind
+    values = np.random.default_rng(count).integers(0, 9, (count, *of_value)).astype(np.float64)
+    if other_order:
+        values = np.asfortranarray(values)
+    given = on_device(values, dtype, "cpu")
+    assert given.flags.c_contiguous
+    np.testing.assert_array_equal(given, values)
+    filled = empty(count, dtype, "cpu")
+    assert (filled.shape, filled.dtype) == (given.shape, given.dtype)
+    np.testing.assert_array_equal(wp.array(given, dtype=dtype, device="cpu").numpy(), values)
 
 
 def test_arguments_live_no_longer_than_the_launch(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -145,19 +145,29 @@ def _command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: 
     key = kernel, device, block, *map(_kind, inputs)
     first = _first_commands.get(key)
     if first is None:
-        how = {"device": device, "record_cmd": True, "block_dim": block}
-        first = _first_commands[key] = wp.launch(kernel, dims, inputs, **how)
-        first.fwd_args = None  # these arrays need not live on
-        kinds = [(f"a{i}", type(value)) for i, value in enumerate(first.params[1:])]
-        first.arguments = type("Arguments", (ctypes.Structure,), {"_fields_": kinds})
-    packed = map(_packed, inputs, first.params[1:])
+        first = _first_commands[key] = _checked_command(kernel, dims, inputs, device)
+    values = map(_packed, inputs, first.params[1:])
     if device == "cpu" and block == 1:
-        return _HostCommand(first.hooks.forward, type(first.bounds)(dims), first.arguments(*packed))
+        return _HostCommand(first.hooks.forward, type(first.bounds)(dims), first.arguments(*values))
     command = copy(first)
-    command.params = [first.bounds, *packed]
+    command.params = [first.bounds, *values]
     if command.params_addr is not None:
         command.params_addr = type(first.params_addr)(*map(ctypes.addressof, command.params))
     command.set_dim(dims)
+    return command
+
+
+def _checked_command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
+    """The launch as Warp records it, with the type of a structure of its arguments."""
+    block = block_size(device)
+    command = wp.launch(kernel, dims, inputs, device=device, record_cmd=True, block_dim=block)
+    command.fwd_args = None  # these arrays need not live on
+    packed = command.params[1:]
+    for value, wanted in zip(packed, kernel.adj.args, strict=True):  # of NumPy's Warp does not
+        same = getattr(value, "ndim", 0) == getattr(wanted.type, "ndim", 0)
+        assert same, f"{kernel.key}: {wanted.label} has other dimensions"
+    fields = [(f"a{i}", type(value)) for i, value in enumerate(packed)]
+    command.arguments = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
     return command
 
 
