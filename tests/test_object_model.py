@@ -88,6 +88,14 @@ def test_frame_origin_may_lie_outside() -> None:
     assert np.linalg.norm(model.mesh.vertices - model.centre, axis=1).max() < 0.502 * model.diameter
 
 
+def test_another_voxel_size_is_built_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = cylinder(0.0175, 0.064)
+    first = ObjectModel.from_mesh(mesh)
+    monkeypatch.setattr(object_model, "SMALLEST_VOXEL", 0.002)
+    again = ObjectModel.from_mesh(mesh)
+    assert (first.distance_field.voxel, again.distance_field.voxel) == (0.001, 0.002)
+
+
 def test_second_build_comes_from_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = cylinder(0.0175, 0.064)
     first = ObjectModel.from_mesh(mesh)

@@ -79,7 +79,8 @@ class ObjectModel:
             mesh = from_trimesh(mesh, scale)
         _check_size(mesh.diameter, unit)
         _check_place(mesh)
-        arrays = cached(["object", mesh.content_key], lambda: _derive(mesh))
+        settings = (SURFACE_POINTS, FIELD_MARGIN, FIELD_STEPS, SMALLEST_VOXEL)
+        arrays = cached(["object", mesh.content_key, *settings], lambda: _derive(mesh))
         detected = put_together(Symmetry, "symmetry", arrays)
         if symmetry is None:
             symmetry = detected
