@@ -133,6 +133,13 @@ def test_a_later_launch_has_arguments_and_size_of_its_own(zeros: Callable[[int],
         np.testing.assert_array_equal(on_host(array), np.arange(len(array)) + 1)
 
 
+def test_every_second_number_of_a_numpy_array_is_told_from_a_whole_one() -> None:
+    whole = np.zeros(8, np.int32)
+    for array in (np.zeros(4, np.int32), whole[::2]):
+        launch(write_index, 4, [array], "cpu")
+    np.testing.assert_array_equal(whole, [1, 0, 2, 0, 3, 0, 4, 0])
+
+
 @pytest.mark.parametrize("wrong", [np.zeros(3, np.float32), np.zeros((3, 3), np.int32)])
 def test_numpy_arrays_are_checked_also_after_right_ones(wrong: np.ndarray) -> None:
     launch(write_index, 3, [np.zeros(3, np.int32)], "cpu")

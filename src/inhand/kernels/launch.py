@@ -163,7 +163,8 @@ def _checked_command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], 
     command = wp.launch(kernel, dims, inputs, device=device, record_cmd=True, block_dim=block)
     command.fwd_args = None  # these arrays need not live on
     packed = command.params[1:]
-    for value, wanted in zip(packed, kernel.adj.args, strict=True):  # of NumPy's Warp does not
+    for value, wanted in zip(packed, kernel.adj.args, strict=True):
+        # Of arrays that are NumPy's, Warp does not check this.
         same = getattr(value, "ndim", 0) == getattr(wanted.type, "ndim", 0)
         assert same, f"{kernel.key}: {wanted.label} has other dimensions"
     fields = [(f"a{i}", type(value)) for i, value in enumerate(packed)]
@@ -174,7 +175,7 @@ def _checked_command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], 
 def _kind(value: Any) -> Any:
     """What decides how an argument is packed."""
     if isinstance(value, np.ndarray):
-        return value.dtype, value.shape[1:]
+        return value.dtype, value.shape[1:], value.strides
     return (value.dtype, value.ndim) if isinstance(value, wp.array) else type(value)
 
 
