@@ -223,7 +223,8 @@ def _run(commands: Sequence[Any], _inputs: Sequence[Any]) -> None:
 
 
 def empty(count: int, dtype: Any, device: str) -> Any:
-    """A flat array for kernels to fill; on a CPU a NumPy array, which is made ten times faster."""
+    """A flat array of `count` values of a Warp type for kernels to fill; NumPy's on a CPU, which is
+    made ten times faster."""
     if not _takes_numpy(device):
         return wp.empty(count, dtype=dtype, device=device)
     scalar, shape = _layout(dtype)
@@ -231,7 +232,8 @@ def empty(count: int, dtype: Any, device: str) -> Any:
 
 
 def on_device(values: Any, dtype: Any, device: str) -> Any:
-    """A NumPy array for a launch to read; on a CPU it sees its own memory, so it must not write."""
+    """A NumPy array, (n, *shape of a `dtype`), for a launch to read; on a CPU it sees the array's
+    own memory, so it must not write."""
     if not _takes_numpy(device):
         return wp.array(values, dtype=dtype, device=device)
     return np.ascontiguousarray(values, _layout(dtype)[0])
