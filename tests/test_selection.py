@@ -6,7 +6,11 @@ import pytest
 from held_object import CAMERA, HeldObject, held_object
 
 from inhand.config import EvidenceConfig, ObservationConfig, SelectionConfig
+from inhand.geometry.mesh import TriangleMesh
 from inhand.geometry.se3 import exp, inverse, transform
+from inhand.object_model import ObjectModel
+from inhand.packed import PackedObject
+from inhand.stages.confidence import misfit
 from inhand.stages.evidence import gather_evidence, score_with_contact
 from inhand.stages.observation import observe
 from inhand.stages.render_selection import select_by_rendering
@@ -118,7 +122,7 @@ def test_a_pose_that_may_have_slid_is_less_certain() -> None:
         CONFIG,
         confidence_bias=0.0,
         confidence_visible=nothing,
-        confidence_explained=nothing,
+        confidence_misfit=nothing,
         confidence_contact=nothing,
         confidence_lead=nothing,
     )
@@ -152,24 +156,38 @@ def test_a_pose_within_the_hand_is_less_certain() -> None:
     assert selected(inside, poses).confidence < 0.5 * selected(inside, poses, blind).confidence
 
 
-def test_a_pose_that_explains_less_of_the_segment_is_less_certain() -> None:
+def test_misfit_is_the_mean_distance_of_what_lies_near_the_surface() -> None:
+    """Points above the middle of a cuboid's face, whose distances are known."""
+    scene = held_object("cuboid")
+    top = scene.obj.model.mesh.bounds[1]
+    heights = np.array([0.0, 0.0005, -0.001, 0.003, 0.02])
+    local = np.tile(scene.obj.model.centre, (len(heights), 1))
+    local[:, 2] = top[2] + heights
+    points = transform(scene.T_camera_object, local).astype(np.float32)
+    weight = np.array([1, 1, 0.5, 0.5, 1], dtype=np.float32)
+    segment = Segment(points, np.zeros_like(points), np.zeros_like(weight), weight)
+    mean = (0.0005 + 0.5 * 0.001 + 0.5 * 0.003) / 3
+    for hand, expected in ((0.0, mean), (0.0004, mean - 0.0004), (0.1, 0.0)):
+        known = replace(segment, hand_misfit=hand)
+        found = misfit(known, scene.T_camera_object, scene.obj.model, CONFIG)
+        assert found == pytest.approx(expected, abs=2e-5)
+
+
+def test_the_model_of_a_larger_object_is_less_certain() -> None:
+    """The true pose, where a surface that is off counts and where it does not."""
     scene = held_object("industrial_part")
-    segment, elsewhere = (
-        scene.segment,
-        scene.segment.points + np.array([0.05, 0, 0], dtype=np.float32),
+    model = scene.obj.model
+    vertices = model.centre + 1.1 * (model.mesh.vertices - model.centre)
+    mesh = TriangleMesh(vertices, model.mesh.faces)
+    larger = PackedObject(ObjectModel.from_mesh(mesh), "cpu")
+    other, blind = replace(scene, obj=larger), replace(CONFIG, confidence_misfit=1e-6)
+    poses = scene.T_camera_object[None]
+    right, wrong, wrong_if_blind = (
+        selected(x, poses, config).confidence
+        for x, config in ((scene, CONFIG), (other, CONFIG), (other, blind))
     )
-    twice = replace(
-        segment,
-        points=np.concatenate([segment.points, elsewhere]),
-        normals=np.tile(segment.normals, (2, 1)),
-        hand_distance=np.tile(segment.hand_distance, 2),
-        weight=np.tile(segment.weight, 2),
-    )
-    whole, half = (
-        selected(replace(scene, segment=s), scene.T_camera_object[None]).confidence
-        for s in (segment, twice)
-    )
-    assert half < whole
+    assert wrong < 0.5 * wrong_if_blind
+    assert wrong < 0.5 * right
 
 
 def test_no_pose_gives_no_confidence() -> None:

@@ -482,19 +482,23 @@ class SelectionConfig(Section):
     """A larger lead in score over the best rival says nothing more."""
     max_visible: Real = 0.1
     """A larger score of what the camera sees of the first pose says nothing more."""
-    confidence_bias: Real = -2.4
+    misfit_reach: float = 0.006
+    """Segment points this near to the first pose's surface are on it, and should be so exactly:
+    how much farther off they are than the hand's tells a wrong pose or model [m]."""
+    confidence_bias: Real = -0.73
     """Log odds that a pose without agreement, lead or drop is right. This and the five below are a
-    logistic regression over 1,908 frames of three hands, at two seeds each, and, at 0.2 of the
-    weight, 823 with the model of another object."""
-    confidence_visible: float = 10.6
+    logistic regression over 1,072 frames of three hands and, at 0.25 of the weight, 830 with more
+    noise, less depth, wrong intrinsics, wavy surfaces or a model 3 % too large; and, at 0.05 of
+    either's weight, 1,754 with the model of another object."""
+    confidence_visible: float = 6.1
     """Log odds per unit of the score of what the camera sees."""
-    confidence_explained: float = 0.7
-    """Log odds per unit of the score of what the pose explains of the segment."""
-    confidence_contact: float = 8.0
+    confidence_misfit: float = 5500
+    """Log odds taken away per metre that the segment is farther off its surface than the hand."""
+    confidence_contact: float = 3.3
     """Log odds taken away per unit of the contact penalty."""
-    confidence_lead: float = 4.5
+    confidence_lead: float = 4.9
     """Log odds per unit of the lead's square root."""
-    confidence_drop: float = 5.2
+    confidence_drop: float = 4.2
     """Log odds per unit by which the score drops at the probes, on average."""
     precision: PrecisionConfig = field(default_factory=PrecisionConfig)
     """Where these are."""

@@ -1,6 +1,7 @@
 """Removal of the hand from the scene cloud; what remains is the object segment P_O."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +36,11 @@ def segment_object(
         NoAnswer: too few points are left.
     """
     cloud, soft = Cloud(observation.points, observation.normals), config.method == "soft"
+    links, near = np.ones(len(hand.hand.links), dtype=bool), config.certain_distance
+    poses = device_poses(hand_state.T_camera_link, hand.device)
+    distance = hand.distances(cloud.points, poses, links, near)[0]
     if soft:
-        links, near = np.ones(len(hand.hand.links), dtype=bool), 2 * config.hand_distance
-        poses = device_poses(hand_state.T_camera_link, hand.device)
-        is_hand = hand.distances(cloud.points, poses, links, near)[0] < config.hand_distance
+        is_hand = distance < config.hand_distance
         background = Background(observation, is_hand, object_diameter, config)
         cloud = background.removed_from(cloud)
     segment = _segment(cloud, hand_state, hand, object_diameter, config)
@@ -52,7 +54,8 @@ def segment_object(
             f"only {len(segment.points)} depth readings near the hand do not belong to it: the "
             "object is hidden, is not in the hand, or gives no depth readings"
         )
-    return segment
+    off = np.abs(distance[np.abs(distance) < near])
+    return replace(segment, hand_misfit=float(off.sum() / max(len(off), 1)))
 
 
 def _segment(
