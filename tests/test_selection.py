@@ -10,7 +10,7 @@ from inhand.geometry.mesh import TriangleMesh
 from inhand.geometry.se3 import exp, inverse, transform
 from inhand.object_model import ObjectModel
 from inhand.packed import PackedObject
-from inhand.stages.confidence import misfit
+from inhand.stages.confidence import readings_on
 from inhand.stages.evidence import gather_evidence, score_with_contact
 from inhand.stages.observation import observe
 from inhand.stages.render_selection import select_by_rendering
@@ -122,6 +122,7 @@ def test_a_pose_that_may_have_slid_is_less_certain() -> None:
         CONFIG,
         confidence_bias=0.0,
         confidence_visible=nothing,
+        confidence_readings=nothing,
         confidence_misfit=nothing,
         confidence_contact=nothing,
         confidence_lead=nothing,
@@ -156,21 +157,53 @@ def test_a_pose_within_the_hand_is_less_certain() -> None:
     assert selected(inside, poses).confidence < 0.5 * selected(inside, poses, blind).confidence
 
 
-def test_misfit_is_the_mean_distance_of_what_lies_near_the_surface() -> None:
+def test_readings_on_the_surface_and_how_far_off_they_are() -> None:
     """Points above the middle of a cuboid's face, whose distances are known."""
     scene = held_object("cuboid")
-    top = scene.obj.model.mesh.bounds[1]
     heights = np.array([0.0, 0.0005, -0.001, 0.003, 0.02])
     local = np.tile(scene.obj.model.centre, (len(heights), 1))
-    local[:, 2] = top[2] + heights
+    local[:, 2] = scene.obj.model.mesh.bounds[1, 2] + heights
     points = transform(scene.T_camera_object, local).astype(np.float32)
     weight = np.array([1, 1, 0.5, 0.5, 1], dtype=np.float32)
     segment = Segment(points, np.zeros_like(points), np.zeros_like(weight), weight)
-    mean = (0.0005 + 0.5 * 0.001 + 0.5 * 0.003) / 3
-    for hand, expected in ((0.0, mean), (0.0004, mean - 0.0004), (0.1, 0.0)):
-        known = replace(segment, hand_misfit=hand)
-        found = misfit(known, scene.T_camera_object, scene.obj.model, CONFIG)
-        assert found == pytest.approx(expected, abs=2e-5)
+    number, off = readings_on(segment, scene.T_camera_object, scene.obj.model, CONFIG)
+    assert number == 3
+    assert off == pytest.approx((0.0005 + 0.5 * 0.001 + 0.5 * 0.003) / 3, abs=2e-5)
+
+
+def test_an_answer_that_rests_on_few_readings_is_less_certain() -> None:
+    scene = held_object("industrial_part")
+    whole = scene.segment
+    few = Segment(
+        whole.points[::40], whole.normals[::40], whole.hand_distance[::40], whole.weight[::40]
+    )
+    blind, poses = replace(CONFIG, confidence_readings=1e-6), scene.T_camera_object[None]
+
+    def worth(segment: Segment) -> float:
+        """Log odds that the number of readings is worth."""
+        c, without = (
+            selected(replace(scene, segment=segment), poses, config).confidence
+            for config in (CONFIG, blind)
+        )
+        return math.log(c / (1 - c)) - math.log(without / (1 - without))
+
+    number = few.weight.sum()
+    assert 1 < number < CONFIG.max_readings < whole.weight.sum()
+    assert worth(whole) == pytest.approx(CONFIG.confidence_readings * math.log(200), abs=1e-3)
+    assert worth(few) == pytest.approx(CONFIG.confidence_readings * math.log(number), abs=0.1)
+
+
+def test_the_hand_says_how_far_off_the_surface_readings_may_be() -> None:
+    scene = held_object("industrial_part")
+    shift = exp(np.array([0, 0, 0, 0, 0, 0.002])) @ scene.T_camera_object
+    exact, rough = (
+        replace(scene, segment=replace(scene.segment, hand_misfit=off)) for off in (0.0, 0.002)
+    )
+    strict, lenient = (selected(x, shift[None]).confidence for x in (exact, rough))
+    assert strict < lenient
+    assert (
+        lenient == selected(exact, shift[None], replace(CONFIG, confidence_misfit=1e-9)).confidence
+    )
 
 
 def test_the_model_of_a_larger_object_is_less_certain() -> None:

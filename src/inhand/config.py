@@ -485,20 +485,24 @@ class SelectionConfig(Section):
     misfit_reach: float = 0.006
     """Segment points this near to the first pose's surface are on it, and should be so exactly:
     how much farther off they are than the hand's tells a wrong pose or model [m]."""
-    confidence_bias: Real = -0.73
-    """Log odds that a pose without agreement, lead or drop is right. This and the five below are a
+    max_readings: float = 200
+    """More points on it than this say nothing more."""
+    confidence_bias: Real = -3.95
+    """Log odds that a pose without agreement, lead or drop is right. This and the six below are a
     logistic regression over 1,072 frames of three hands and, at 0.25 of the weight, 830 with more
     noise, less depth, wrong intrinsics, wavy surfaces or a model 3 % too large; and, at 0.05 of
     either's weight, 1,754 with the model of another object."""
-    confidence_visible: float = 6.1
+    confidence_visible: float = 5.7
     """Log odds per unit of the score of what the camera sees."""
+    confidence_readings: float = 0.65
+    """Log odds per unit of the logarithm of the number of segment points on the surface."""
     confidence_misfit: float = 5500
     """Log odds taken away per metre that the segment is farther off its surface than the hand."""
-    confidence_contact: float = 3.3
+    confidence_contact: float = 3.25
     """Log odds taken away per unit of the contact penalty."""
-    confidence_lead: float = 4.9
+    confidence_lead: float = 4.75
     """Log odds per unit of the lead's square root."""
-    confidence_drop: float = 4.2
+    confidence_drop: float = 4.3
     """Log odds per unit by which the score drops at the probes, on average."""
     precision: PrecisionConfig = field(default_factory=PrecisionConfig)
     """Where these are."""

@@ -23,9 +23,11 @@ def confidence(
 ) -> float:
     """Probability that the first of the ranked poses is right, 0 if there is none.
 
-    It counts how well the pose fits, its lead over any rival, and how firmly the image holds it:
-    how much worse poses to either side fit. A rival is a pose whose surface lies elsewhere; slight
-    variants of the first pose are none.
+    It counts how well the pose fits and on how many readings that rests, its lead over any rival,
+    and how firmly the image holds it: how much worse poses to either side fit. A rival is a pose
+    whose surface lies elsewhere; slight variants of the first pose are none. How far the readings
+    may be off its surface is read off the hand: noise, waviness and wrong calibration move both
+    off, a wrong model only the object's.
     """
     if not len(ranked):
         return 0.0
@@ -39,10 +41,12 @@ def confidence(
     contact = contact_penalty(evidence, obj, poses, c.contact_points)
     score = seen.sum(axis=1) - contact
     drop = np.clip(score[0] - score[1:], 0, c.precision.max_drop).mean()
+    readings, off = readings_on(segment, first, obj.model, c)
     logit = (
         c.confidence_bias
         + c.confidence_visible * min(seen[0, 0], c.max_visible)
-        - c.confidence_misfit * misfit(segment, first, obj.model, c)
+        + c.confidence_readings * math.log(max(min(readings, c.max_readings), 1.0))
+        - c.confidence_misfit * max(off - segment.hand_misfit, 0.0)
         - c.confidence_contact * contact[0]
         + c.confidence_lead * math.sqrt(min(max(lead, 0.0), c.max_lead))
         + c.confidence_drop * drop
@@ -50,13 +54,11 @@ def confidence(
     return 1 / (1 + math.exp(-max(min(logit, 50.0), -50.0)))
 
 
-def misfit(
+def readings_on(
     segment: Segment, T_camera_object: Array, obj: ObjectModel, config: SelectionConfig
-) -> float:
-    """How much farther the segment is off the object's surface than the hand is off its own [m].
-
-    That is, on average, and of the points that lie near the surface. What keeps the hand off is the
-    sensor's noise, waviness and calibration, which keep the right object off as much.
+) -> tuple[float, float]:
+    """How many points of the segment lie on the object's surface, and how far off it on average
+    [m]; each point counts with its weight.
 
     Args:
         segment: the object segment.
@@ -68,5 +70,5 @@ def misfit(
     points = transform(inverse(T_camera_object), segment.points[::stride])
     off = np.abs(obj.distance_field.distance(points))
     weight = segment.weight[::stride] * (off < config.misfit_reach)
-    mean = weight @ off / max(weight.sum(), 1e-6)
-    return float(max(mean - segment.hand_misfit, 0))
+    number = float(weight.sum())
+    return stride * number, float(weight @ off) / max(number, 1e-6)
