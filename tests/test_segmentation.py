@@ -69,6 +69,18 @@ def test_the_threshold_of_the_paper() -> None:
     np.testing.assert_array_equal(found.normals, scene.observation.normals[kept])
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.002])
+def test_how_far_the_readings_of_the_hand_are_off_it(shift: float) -> None:
+    scene = held_object("cuboid")
+    links = scene.hand_state.T_camera_link.copy()
+    links[:, 2, 3] += shift
+    state = replace(scene.hand_state, T_camera_link=links)
+    off = np.abs(distance_to_hand(scene.observation.points, scene.hand, state))
+    expected = off[off < SOFT.certain_distance].mean()
+    assert segmented(scene, SOFT, state).hand_misfit == pytest.approx(expected, abs=5e-5)
+    assert expected > 0.5 * shift
+
+
 def test_the_weight_grows_with_the_distance_to_the_hand() -> None:
     scene = held_object("cuboid")
     found = segmented(scene, SOFT)
