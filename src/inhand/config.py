@@ -484,14 +484,16 @@ class SelectionConfig(Section):
     """A larger score of what the camera sees of the first pose says nothing more."""
     misfit_reach: float = 0.006
     """Segment points this near to the first pose's surface are on it, and should be so exactly:
-    how much farther off they are than the hand's tells a wrong pose or model [m]."""
+    how much farther off they are than the hand's tells a wrong pose or model [m]. To compare like
+    with like, as large as `SegmentationConfig.certain_distance`, up to which points are the
+    hand's."""
     max_readings: float = 200
-    """More points on it than this say nothing more."""
+    """More segment points on the first pose's surface than this say nothing more."""
     confidence_bias: Real = -3.95
-    """Log odds that a pose without agreement, lead or drop is right. This and the six below are a
-    logistic regression over 1,072 frames of three hands and, at 0.25 of the weight, 830 with more
-    noise, less depth, wrong intrinsics, wavy surfaces or a model 3 % too large; and, at 0.05 of
-    either's weight, 1,754 with the model of another object."""
+    """Log odds that a pose without agreement, lead or drop, seen in one reading, is right. This and
+    the six below are a logistic regression over 1,072 frames of three hands and, at 0.25 of the
+    weight, 830 with more noise, less depth, wrong intrinsics, wavy surfaces or a model 3 % too
+    large; and, at 0.05 of either's weight, 1,754 with the model of another object."""
     confidence_visible: float = 5.7
     """Log odds per unit of the score of what the camera sees."""
     confidence_readings: float = 0.65

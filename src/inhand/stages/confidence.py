@@ -28,6 +28,13 @@ def confidence(
     whose surface lies elsewhere; slight variants of the first pose are none. How far the readings
     may be off its surface is read off the hand: noise, waviness and wrong calibration move both
     off, a wrong model only the object's.
+
+    Args:
+        ranked: poses, best first.
+        segment: the object segment.
+        evidence: what the poses were scored against.
+        obj: the object.
+        config: parameters.
     """
     if not len(ranked):
         return 0.0
@@ -57,14 +64,15 @@ def confidence(
 def readings_on(
     segment: Segment, T_camera_object: Array, obj: ObjectModel, config: SelectionConfig
 ) -> tuple[float, float]:
-    """How many points of the segment lie on the object's surface, and how far off it on average
-    [m]; each point counts with its weight.
+    """Number of segment points on the object's surface, and their mean distance to it [m].
+
+    Each point counts with its weight.
 
     Args:
         segment: the object segment.
         T_camera_object: the object's pose, shape (4, 4).
         obj: the object.
-        config: parameters.
+        config: parameters; its `misfit_reach` says what is on the surface.
     """
     stride = max(1, len(segment.points) // config.segment_points)
     points = transform(inverse(T_camera_object), segment.points[::stride])

@@ -53,8 +53,8 @@ class Segment:
     weight: NDArray[np.float32]
     """Probability that the point belongs to the object, shape (n,)."""
     hand_misfit: float = 0.0
-    """Mean distance of the hand's readings to its surface [m]: what sensor, calibration and model
-    leave where all is right; 0 if it is not known."""
+    """Mean distance [m] of the scene cloud's points at the hand to its surface: what sensor,
+    calibration and model leave where all is right; 0 if it is not known."""
 
 
 @dataclass(frozen=True)
