@@ -1,10 +1,11 @@
 """The pipeline as a whole: repeatable, free of state, for hands of any build."""
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import FrozenInstanceError, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -89,20 +90,44 @@ def assert_same(one: Any, other: Any) -> None:
         assert one == other
 
 
+class DeadlyDepth:
+    """A depth image that ends the process that reads it."""
+
+    def __array__(self, *_args: Any, **_options: Any) -> NoReturn:
+        os._exit(1)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_batch_has_the_same_answers(
-    scenes: list[Scene], scene: Scene, estimator: PoseEstimator, first: PoseEstimate
+    scenes: list[Scene], scene: Scene, estimator: PoseEstimator, first: PoseEstimate, workers: int
 ) -> None:
     images = [
         (depth[::2, ::2], scene.camera.subsampled(2), scene.T_camera_hand_given)
         for depth in (scene.depth, 0 * scene.depth, scenes[7].depth, scene.depth)
     ]
-    found = estimator.estimate_batch(iter(images))
+    found = estimator.estimate_batch(iter(images), workers)
     assert_same([found[0], found[3]], [first, first])
     assert not found[1].found
     assert_same(found[2], estimator.estimate(*images[2]))
-    assert estimator.estimate_batch([]) == []
+    assert estimator.estimate_batch([], workers) == []
     with pytest.raises(InputError, match="depth"):
-        estimator.estimate_batch([images[0], (None, *images[0][1:])])
+        estimator.estimate_batch([images[0], (None, *images[0][1:])], workers)
+    assert_same(estimator.estimate_batch(images[:1], workers), [first])
+
+
+@pytest.mark.parametrize("workers", [0, 1.5, "all", True])
+def test_a_batch_needs_a_number_of_workers(estimator: PoseEstimator, workers: Any) -> None:
+    with pytest.raises(InputError, match="workers must be a"):
+        estimator.estimate_batch([], workers)
+
+
+def test_a_batch_goes_on_after_a_worker_died(
+    scene: Scene, estimator: PoseEstimator, first: PoseEstimate
+) -> None:
+    image = scene.depth[::2, ::2], scene.camera.subsampled(2), scene.T_camera_hand_given
+    with pytest.raises(InputError, match="worker process died"):
+        estimator.estimate_batch([(DeadlyDepth(), *image[1:])], 2)
+    assert_same(estimator.estimate_batch([image], 2), [first])
 
 
 # Repeatable

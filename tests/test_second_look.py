@@ -8,8 +8,8 @@ from held_object import HeldObject, Q, held_object
 
 from inhand import EstimatorConfig, PoseEstimator
 from inhand.config import SecondLookConfig
-from inhand.stages.results import HandState, Segment
-from inhand.stages.second_look import hands_in_segment
+from inhand.stages.results import HandState, PoseSet, Segment, Selection
+from inhand.stages.second_look import doubted, hands_in_segment
 from inhand.synth.scene import Scene
 
 CONFIG = EstimatorConfig()
@@ -74,6 +74,35 @@ def test_the_object_is_no_finger() -> None:
     scene = held_object("cuboid")
     missed = missed_finger(scene)
     assert hands_in_segment(scene.observation, missed, scene.segment, scene.hand, CONFIG) == []
+
+
+def answer(confidence: float) -> Selection:
+    """An answer of that confidence."""
+    pose = PoseSet(np.eye(4, dtype=np.float32)[None], np.ones(1, dtype=np.float32))
+    return Selection(pose, confidence, Q)
+
+
+def test_an_answer_in_a_segment_that_may_be_a_finger_is_doubted() -> None:
+    scene = held_object("industrial_part")
+    missed, segment = missed_finger(scene), finger_as_segment(scene)
+    sure, unsure = (
+        doubted(answer(p), missed, segment, scene.hand, CONFIG.second_look).confidence
+        for p in (0.9, 0.5)
+    )
+    assert unsure < sure < 0.1
+    # The same odds are taken from both.
+    assert sure / (1 - sure) == pytest.approx(9 * unsure / (1 - unsure))
+
+
+def test_an_answer_is_not_doubted_where_no_finger_was_missed() -> None:
+    scene, cuboid = held_object("industrial_part"), held_object("cuboid")
+    certain = replace(missed_finger(scene), certain=scene.hand_state.certain)
+    for hand_state, segment, hand in (
+        (certain, finger_as_segment(scene), scene.hand),
+        (missed_finger(cuboid), cuboid.segment, cuboid.hand),
+    ):
+        found = doubted(answer(0.9), hand_state, segment, hand, CONFIG.second_look)
+        assert found.confidence == pytest.approx(0.9)
 
 
 def test_only_unsure_answers_are_looked_at_again(scenes: list[Scene]) -> None:

@@ -539,6 +539,13 @@ class SecondLookConfig(Section):
     """Configurations of a finger that are tried, all over its range: a power of two up to this."""
     points: int = 200
     """About so many segment points are held against them."""
+    doubt_below: Share = 0.95
+    """An answer of a smaller confidence is doubted if a finger without support could explain most
+    of the segment; 0: none is."""
+    undoubted: Share = 0.6
+    """A finger that could explain no more of it than this does not speak against the answer."""
+    doubt: NonNegative = 16.5
+    """Log odds taken from the confidence per unit of the share beyond that."""
     near: float = 0.006
     """A segment point this near to a finger's surface starts to be explained by it [m]."""
     promising: Share = 0.15
@@ -595,5 +602,5 @@ class EstimatorConfig(Section):
             pruning=PruningConfig(method="physics"),
             selection=SelectionConfig(method="render"),
             first_look=FirstLookConfig(enough=1.0),
-            second_look=SecondLookConfig(below=0.0),
+            second_look=SecondLookConfig(below=0.0, doubt_below=0.0),
         )

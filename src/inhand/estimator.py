@@ -2,8 +2,10 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,15 +13,16 @@ from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
 from inhand.camera import Camera
-from inhand.checks import number_array
+from inhand.checks import number_array, whole_number
 from inhand.config import EstimatorConfig
 from inhand.errors import InputError, NoAnswer
 from inhand.estimate import Candidate, PoseEstimate
 from inhand.geometry.se3 import check_rigid
 from inhand.hand import Hand
-from inhand.kernels.launch import on_all_cores, resolve_device
+from inhand.kernels.launch import keep_launches_whole, on_all_cores, resolve_device
 from inhand.object_model import ObjectModel
 from inhand.packed import PackedHand, PackedObject
+from inhand.processes import WorkerPool
 from inhand.stages.clustering import cluster
 from inhand.stages.evidence import Evidence, gather_evidence
 from inhand.stages.hand_state import estimate_hand_state
@@ -28,7 +31,7 @@ from inhand.stages.observation import Observation, observe
 from inhand.stages.pruning import prune
 from inhand.stages.refinement import refine
 from inhand.stages.results import HandState, PoseSet, Segment, Selection, Wrist
-from inhand.stages.second_look import hands_in_segment
+from inhand.stages.second_look import doubted, hands_in_segment
 from inhand.stages.segmentation import segment_object
 from inhand.stages.selection import select
 from inhand.stages.wrist import fit_wrist
@@ -106,6 +109,7 @@ class PoseEstimator:
         self.device = resolve_device(device)
         self.hand = PackedHand(hand, self.device)
         self.object = PackedObject(obj, self.device)
+        self._workers: WorkerPool[Any, PoseEstimate] | None = None
 
     def estimate(self, depth: Any, camera: Camera, T_camera_hand: Any) -> PoseEstimate:
         """Pose of the object and state of the hand in one depth image.
@@ -121,18 +125,36 @@ class PoseEstimator:
         """
         return self.run(depth, camera, T_camera_hand)[0]
 
-    def estimate_batch(self, images: Iterable[tuple[Any, Camera, Any]]) -> list[PoseEstimate]:
+    def estimate_batch(
+        self, images: Iterable[tuple[Any, Camera, Any]], workers: int = 1
+    ) -> list[PoseEstimate]:
         """Estimates of many images, the same as by `estimate`, in less time altogether.
-
-        On a CPU every core works on an image of its own.
 
         Args:
             images: depth, camera and T_camera_hand of each, as for `estimate`.
+            workers: processes to share the work, as many as there are cores for the most images a
+                second: see `processes.WorkerPool`. They take seconds to start, and then wait for
+                the next batch. With 1, threads of this process share it, if on a CPU; no more than
+                a few can be busy at a time.
 
         Raises:
-            InputError: the input of an image is malformed.
+            InputError: the input of an image is malformed, or a process died.
         """
-        return on_all_cores(lambda image: self.estimate(*image), images, self.device)
+        workers = whole_number(workers, "workers", 1)
+        if workers == 1:
+            return on_all_cores(lambda image: self.estimate(*image), images, self.device)
+        if self._workers is None or self._workers.count != workers:
+            parts = self.hand.hand, self.object.model, self.config, self.device
+            self._workers = WorkerPool(partial(_worker_estimate, *parts), workers)
+        try:
+            return list(self._workers.map(images))
+        except BrokenProcessPool as error:
+            self._workers = None
+            raise InputError(
+                "a worker process died: for want of memory perhaps, so try fewer workers, or "
+                "because it runs the main script, which must start nothing then: put what it does "
+                'under `if __name__ == "__main__":`'
+            ) from error
 
     def run(
         self, depth: Any, camera: Camera, T_camera_hand: Any
@@ -180,6 +202,9 @@ class PoseEstimator:
                 again = self._second_look(replace(r, hand_state=other), searches[:1], clock, rng)
                 if again.confidence > best.confidence:
                     yield (best := again)
+        if best.selection is not None and best.confidence < c.second_look.doubt_below:
+            doubts = best.selection, best.hand_state, best.segment, hand, c.second_look
+            yield replace(best, selection=clock.time("second_look", doubted, *doubts))
 
     def _second_look(self, r: StageResults, *args: Any) -> StageResults:
         """The object stages' results with another hand, as far as they come."""
@@ -268,6 +293,15 @@ class PoseEstimator:
             confidence=0.0,
             timings=clock.seconds,
         )
+
+
+def _worker_estimate(
+    hand: Hand, obj: ObjectModel, config: EstimatorConfig, device: str
+) -> Callable[[tuple[Any, Camera, Any]], PoseEstimate]:
+    """What a worker process estimates an image with."""
+    keep_launches_whole()
+    estimator = PoseEstimator(hand, obj, config, device)
+    return lambda image: estimator.estimate(*image)
 
 
 def check_depth(depth: Any, camera: Camera) -> NDArray[np.float32]:

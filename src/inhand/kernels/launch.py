@@ -63,11 +63,13 @@ def on_all_cores(
     if device != "cpu":
         return done + [function(item) for item in queue]
 
-    def keep_launches_whole() -> None:
-        _thread.has_one_core = True
-
     with ThreadPoolExecutor(cpu_count(), "inhand-items", keep_launches_whole) as pool:
         return done + list(pool.map(function, queue))
+
+
+def keep_launches_whole() -> None:
+    """Leave the other cores to others: this thread's launches are not sliced from now on."""
+    _thread.has_one_core = True
 
 
 def launch(kernel: Any, dim: int, inputs: Sequence[Any], device: str, **how: Any) -> None:

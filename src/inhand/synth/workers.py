@@ -1,17 +1,13 @@
 """Making the images of a data set in this process, in several, or on a Ray cluster."""
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 
 from inhand.cluster import map_on_ray
 from inhand.errors import InputError
+from inhand.processes import WorkerPool
 from inhand.synth.dataset import Workshop
 from inhand.synth.plan import Plan
 
@@ -19,8 +15,6 @@ Job = tuple[int, int]
 """Numbers of scene and image."""
 CHUNK = 8
 """Images that a process makes before it reports."""
-
-_workshop: Workshop | None = None
 
 
 def make_here(folder: Path, plan: Plan, jobs: Sequence[Job], device: str) -> Iterator[int]:
@@ -46,18 +40,16 @@ def make_in_processes(
     Raises:
         InputError: a process died.
     """
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, _start_worker, (folder, plan, device))
+    pool = WorkerPool(partial(_chunk_maker, folder, plan, device), workers)
     try:
-        for done in as_completed([pool.submit(_make_chunk, chunk) for chunk in _chunks(jobs)]):
-            yield done.result()
+        yield from pool.map(_chunks(jobs))
     except BrokenProcessPool as error:
         raise InputError(
             "a worker process died, for want of memory perhaps: try fewer workers; the same "
             "command goes on where it stopped"
         ) from error
     finally:
-        pool.shutdown(cancel_futures=True)
+        pool.close()
 
 
 def make_on_ray(folder: Path, plan: Plan, jobs: Sequence[Job], device: str) -> Iterator[int]:
@@ -81,23 +73,3 @@ def _make_with(workshop: Workshop, chunk: Sequence[Job]) -> int:
 
 def _chunks(jobs: Sequence[Job]) -> list[Sequence[Job]]:
     return [jobs[i : i + CHUNK] for i in range(0, len(jobs), CHUNK)]
-
-
-def _start_worker(folder: Path, plan: Plan, device: str) -> None:
-    global _workshop
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process decides when to stop
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _workshop = Workshop(folder, plan, device)
-
-
-def _end_with_parent() -> None:
-    """End this process when its parent is gone, however it went."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _make_chunk(chunk: Sequence[Job]) -> int:
-    assert _workshop is not None
-    return _make_with(_workshop, chunk)
