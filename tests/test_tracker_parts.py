@@ -24,6 +24,7 @@ from inhand.tracking.object_track import (
     follow_object,
     segment_near,
 )
+from inhand.tracking.rest import rests
 from inhand.tracking.track import Track, predicted
 
 CONFIG = TrackerConfig()
@@ -271,3 +272,22 @@ def test_prediction_carries_hand_and_object_with_the_wrist() -> None:
         sooner.hand_covariance - truth.hand_covariance
     )
     np.testing.assert_allclose(ratio, 4)
+
+
+def test_a_hand_that_stops_rests_soon_and_one_that_starts_does_not() -> None:
+    """Given poses shake by 0.2 mm at rest; the hand moves by 10 mm an image before."""
+    held = held_object("cuboid")
+    track, hand = track_of(held, SURE), built_in_hand().hand
+    chance = np.random.default_rng(0)
+    ways = np.r_[np.zeros(20), np.full(20, 0.01), np.zeros(30), 0.01]
+    place, resting = np.zeros(3), []
+    for way in ways:
+        place = place + [0, way, 0]
+        given = track_of(held, SURE).given.copy()
+        given[:3, 3] += place + chance.normal(scale=0.0002, size=3)
+        track = predicted(track, given, 1 / 30, False, hand, CONFIG)
+        resting.append(rests(track, 0.2, CONFIG))
+    assert all(resting[5:20])
+    assert not any(resting[20:40])
+    assert all(resting[46:70])
+    assert not resting[70]

@@ -121,6 +121,8 @@ def predicted(
     unseen = np.array([o.hidden_turn] * 3 + [o.hidden_motion] * 3) ** 2 * seconds * hidden
     noise = np.diag(still + (o.agility * track.motion) ** 2 + anywhere + unseen)
     R, velocity = step[:3, :3], twist_between(track.given, given, np.zeros(3)) / seconds
+    slower = np.linalg.norm(lever * velocity) < np.linalg.norm(lever * track.hand_motion)
+    keep = config.rest.stopping if slower else o.memory
     return replace(
         track,
         given=given,
@@ -131,7 +133,7 @@ def predicted(
         lasting=np.concatenate([R @ track.lasting[:3], R @ track.lasting[3:]]),
         motion=np.concatenate([R @ track.motion[:3], R @ track.motion[3:]]),
         motion_covariance=carried(track.motion_covariance, R),
-        hand_motion=o.memory * track.hand_motion + (1 - o.memory) * velocity,
+        hand_motion=keep * track.hand_motion + (1 - keep) * velocity,
         answer=step @ track.answer,
         images=0 if hidden else track.images,
         searched=track.searched and not hidden,
