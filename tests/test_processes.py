@@ -1,15 +1,17 @@
 """Work shared among processes: order, errors, deaths, and how far ahead jobs are fetched."""
 
+import multiprocessing
 import os
 import time
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from inhand.processes import WorkerPool
+from inhand.processes import WorkerPool, _start
 
 
 def make_worker(offset: int) -> Any:
@@ -68,3 +70,11 @@ def test_a_death_is_noticed() -> None:
     with pytest.raises(BrokenProcessPool):
         list(pool.map([1, 1001, 2]))
     pool.close()
+
+
+def test_a_process_that_comes_when_the_pool_is_gone_ends_quietly(tmp_path: Path) -> None:
+    gone = str(tmp_path / "gone")
+    late = multiprocessing.get_context("spawn").Process(target=_start, args=(gone,))
+    late.start()
+    late.join()
+    assert late.exitcode == 0

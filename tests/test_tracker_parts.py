@@ -274,20 +274,29 @@ def test_prediction_carries_hand_and_object_with_the_wrist() -> None:
     np.testing.assert_allclose(ratio, 4)
 
 
-def test_a_hand_that_stops_rests_soon_and_one_that_starts_does_not() -> None:
-    """Given poses shake by 0.2 mm at rest; the hand moves by 10 mm an image before."""
+def resting(ways: np.ndarray) -> list[bool]:
+    """Whether a hand that goes these ways [m] an image rests; given poses shake by 0.2 mm."""
     held = held_object("cuboid")
     track, hand = track_of(held, SURE), built_in_hand().hand
-    chance = np.random.default_rng(0)
-    ways = np.r_[np.zeros(20), np.full(20, 0.01), np.zeros(30), 0.01]
-    place, resting = np.zeros(3), []
-    for way in ways:
-        place = place + [0, way, 0]
-        given = track_of(held, SURE).given.copy()
-        given[:3, 3] += place + chance.normal(scale=0.0002, size=3)
+    start, chance = track.given, np.random.default_rng(0)
+    found = []
+    for place in np.cumsum(ways):
+        given = start.copy()
+        given[:3, 3] += [0, place, 0] + chance.normal(scale=0.0002, size=3)
         track = predicted(track, given, 1 / 30, False, hand, CONFIG)
-        resting.append(rests(track, 0.2, CONFIG))
-    assert all(resting[5:20])
-    assert not any(resting[20:40])
-    assert all(resting[46:70])
-    assert not resting[70]
+        found.append(rests(track, hand.reach[1], CONFIG))
+    return found
+
+
+def test_a_hand_that_stops_rests_soon_and_one_that_starts_does_not() -> None:
+    rest = resting(np.r_[np.zeros(20), np.full(20, 0.01), np.zeros(30), 0.01])
+    assert all(rest[5:20])
+    assert not any(rest[20:40])
+    assert all(rest[46:70])
+    assert not rest[70]
+
+
+def test_a_hand_that_goes_slowly_does_not_rest() -> None:
+    """Chance alone does not pull its speed down: it goes by a third more than a hand that rests."""
+    way = 1.33 * CONFIG.rest.hand_speed / 30
+    assert np.mean(resting(np.full(300, way))[20:]) < 0.05

@@ -144,6 +144,8 @@ class PoseEstimator:
         if workers == 1:
             return on_all_cores(lambda image: self.estimate(*image), images, self.device)
         if self._workers is None or self._workers.count != workers:
+            if self._workers is not None:
+                self._workers.close()
             parts = self.hand.hand, self.object.model, self.config, self.device
             self._workers = WorkerPool(partial(_worker_estimate, *parts), workers)
         try:
@@ -151,9 +153,9 @@ class PoseEstimator:
         except BrokenProcessPool as error:
             self._workers = None
             raise InputError(
-                "a worker process died: for want of memory perhaps, so try fewer workers, or "
-                "because it runs the main script, which must start nothing then: put what it does "
-                'under `if __name__ == "__main__":`'
+                "a worker process died; see what it printed. If for want of memory, try fewer "
+                "workers. It imports the main script, which must start nothing then: put what that "
+                'does under `if __name__ == "__main__":`'
             ) from error
 
     def run(

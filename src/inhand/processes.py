@@ -59,6 +59,7 @@ class WorkerPool(Generic[Job, Result]):
     def close(self) -> None:
         """End the processes when they have done what they have begun."""
         self._pool.shutdown(cancel_futures=True)
+        self._made_of.close()
 
 
 _worker: Callable[[Any], Any] | None = None
@@ -68,7 +69,11 @@ def _start(made_of: str) -> None:
     global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process decides when to stop
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _worker = pickle.loads(Path(made_of).read_bytes())()
+    try:
+        make_worker = pickle.loads(Path(made_of).read_bytes())
+    except FileNotFoundError:  # the pool is gone before this process was needed
+        os._exit(0)
+    _worker = make_worker()
 
 
 def _end_with_parent() -> None:

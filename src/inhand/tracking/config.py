@@ -150,7 +150,7 @@ class RestConfig(Section):
     hand_speed: NonNegative = 0.018
     """A hand whose given pose moves more slowly than this rests [m/s]."""
     stopping: Share = 0.5
-    """Weight of earlier images in the hand's motion where it slows down, else
+    """Weight of earlier images in the hand's motion where it has come down to less than half, else
     `ObjectTrackConfig.memory`: a hand that has stopped is to rest soon after."""
     most_motion: NonNegative = 16.8
     """An object rests whose recent motion, squared and in units of what chance makes of it, is less

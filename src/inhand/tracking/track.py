@@ -121,8 +121,9 @@ def predicted(
     unseen = np.array([o.hidden_turn] * 3 + [o.hidden_motion] * 3) ** 2 * seconds * hidden
     noise = np.diag(still + (o.agility * track.motion) ** 2 + anywhere + unseen)
     R, velocity = step[:3, :3], twist_between(track.given, given, np.zeros(3)) / seconds
-    slower = np.linalg.norm(lever * velocity) < np.linalg.norm(lever * track.hand_motion)
-    keep = config.rest.stopping if slower else o.memory
+    reach = np.array([hand.reach[1]] * 3 + [1.0] * 3)
+    slows = np.linalg.norm(reach * velocity) < 0.5 * np.linalg.norm(reach * track.hand_motion)
+    keep = config.rest.stopping if slows else o.memory
     return replace(
         track,
         given=given,
