@@ -132,10 +132,10 @@ class PoseEstimator:
 
         Args:
             images: depth, camera and T_camera_hand of each, as for `estimate`.
-            workers: processes to share the work, as many as there are cores for the most images a
-                second: see `processes.WorkerPool`. They take seconds to start, and then wait for
-                the next batch. With 1, threads of this process share it, if on a CPU; no more than
-                a few can be busy at a time.
+            workers: processes to share the work; as many as cores for the most images a second.
+                They take seconds to start, and then wait for the next batch. A script that starts
+                some needs `if __name__ == "__main__":`, as they import it. With 1, threads of this
+                process share the work, if on a CPU; no more than a few can be busy at a time.
 
         Raises:
             InputError: the input of an image is malformed, or a process died.

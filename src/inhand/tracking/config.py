@@ -150,8 +150,8 @@ class RestConfig(Section):
     hand_speed: NonNegative = 0.018
     """A hand whose given pose moves more slowly than this rests [m/s]."""
     stopping: Share = 0.5
-    """Weight of earlier images in the hand's motion where it has come down to less than half, else
-    `ObjectTrackConfig.memory`: a hand that has stopped is to rest soon after."""
+    """A hand that moves by less than this share of its recent speed slows down, and keeps no more
+    of that than this (else `ObjectTrackConfig.memory`): once it has stopped, it rests soon."""
     most_motion: NonNegative = 16.8
     """An object rests whose recent motion, squared and in units of what chance makes of it, is less
     than this: 99 % are where nothing moves (chi squared, six degrees of freedom)."""

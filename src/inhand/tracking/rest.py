@@ -12,7 +12,7 @@ import numpy as np
 from inhand.geometry.se3 import moved
 from inhand.tracking.config import TrackerConfig
 from inhand.tracking.gaussian import Array, twist_between
-from inhand.tracking.track import Track
+from inhand.tracking.track import Track, hand_speed
 
 
 def with_answer(track: Track, centre: Array, reach: float, config: TrackerConfig) -> Track:
@@ -38,7 +38,6 @@ def with_answer(track: Track, centre: Array, reach: float, config: TrackerConfig
 
 def rests(track: Track, reach: float, config: TrackerConfig) -> bool:
     """Whether neither the hand moves, as far as its given poses tell, nor the object in it."""
-    c, hand = config.rest, track.hand_motion
-    speed = np.linalg.norm(np.append(reach * hand[:3], hand[3:]))
+    c, speed = config.rest, hand_speed(track.hand_motion, reach)
     motion = track.motion @ np.linalg.solve(track.motion_covariance, track.motion)
     return bool(speed < c.hand_speed and motion < c.most_motion)

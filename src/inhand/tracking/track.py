@@ -121,9 +121,9 @@ def predicted(
     unseen = np.array([o.hidden_turn] * 3 + [o.hidden_motion] * 3) ** 2 * seconds * hidden
     noise = np.diag(still + (o.agility * track.motion) ** 2 + anywhere + unseen)
     R, velocity = step[:3, :3], twist_between(track.given, given, np.zeros(3)) / seconds
-    reach = np.array([hand.reach[1]] * 3 + [1.0] * 3)
-    slows = np.linalg.norm(reach * velocity) < 0.5 * np.linalg.norm(reach * track.hand_motion)
-    keep = config.rest.stopping if slows else o.memory
+    reach, stopping = hand.reach[1], config.rest.stopping
+    slows = hand_speed(velocity, reach) < stopping * hand_speed(track.hand_motion, reach)
+    keep = stopping if slows else o.memory
     return replace(
         track,
         given=given,
@@ -140,6 +140,12 @@ def predicted(
         searched=track.searched and not hidden,
         confidence=expected_confidence(track.confidence, config.loss),
     )
+
+
+def hand_speed(motion: Array, reach: float) -> float:
+    """Speed [m/s] that stands for a velocity of the wrist, [rad/s, m/s], shape (6,): a turn counts
+    as what moves at the hand's reach [m] does."""
+    return float(np.linalg.norm(np.append(reach * motion[:3], motion[3:])))
 
 
 def joint_scale(hand: Hand, config: TrackerConfig) -> Array:
