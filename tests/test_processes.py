@@ -2,6 +2,9 @@
 
 import multiprocessing
 import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
@@ -78,3 +81,30 @@ def test_a_process_that_comes_when_the_pool_is_gone_ends_quietly(tmp_path: Path)
     late.start()
     late.join()
     assert late.exitcode == 0
+
+
+def test_nothing_is_left_of_a_process_that_was_killed(tmp_path: Path) -> None:
+    script = tmp_path / "killed.py"
+    script.write_text(
+        "import os, signal\n"
+        "from inhand.processes import WorkerPool\n"
+        "def worker():\n"
+        "    return lambda job: os.getpid()\n"
+        "if __name__ == '__main__':\n"
+        "    pool = WorkerPool(worker, 1)\n"
+        "    print(*pool.map([0]), flush=True)\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    killed = subprocess.run(
+        [sys.executable, script], env=os.environ | {"TMPDIR": str(folder)}, capture_output=True
+    )
+    assert killed.returncode == -signal.SIGKILL
+    worker = int(killed.stdout)
+    for _ in range(200):
+        if not list(folder.iterdir()) and not Path(f"/proc/{worker}").exists():
+            break
+        time.sleep(0.05)
+    else:
+        pytest.fail("its worker or its file is still there")

@@ -68,7 +68,7 @@ _worker: Callable[[Any], Any] | None = None
 def _start(made_of: str) -> None:
     global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process decides when to stop
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(Path(made_of),), daemon=True).start()
     try:
         make_worker = pickle.loads(Path(made_of).read_bytes())
     except FileNotFoundError:  # the pool is gone before this process was needed
@@ -76,11 +76,12 @@ def _start(made_of: str) -> None:
     _worker = make_worker()
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(leftover: Path) -> None:
     """End this process when its parent is gone, however it went."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
+        leftover.unlink(missing_ok=True)  # by a parent that was killed
         os._exit(1)
 
 

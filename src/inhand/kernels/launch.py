@@ -27,6 +27,9 @@ Result = TypeVar("Result")
 # What it takes to hand a slice to a pool thread, in inner-loop operations of a kernel.
 HANDOVER_OPERATIONS = 15_000
 
+# Threads that have an item each: more of them wait for Python's interpreter lock, and take longer.
+MOST_ITEM_THREADS = 8
+
 # Threads of a block.
 CPU_BLOCK, GPU_BLOCK = 1, 128
 
@@ -53,7 +56,7 @@ _thread = threading.local()
 def on_all_cores(
     function: Callable[[Item], Result], items: Iterable[Item], device: str
 ) -> list[Result]:
-    """`function` of every item, in order; on a CPU each core has an item at a time.
+    """`function` of every item, in order; on a CPU up to eight cores have an item each.
 
     Launches by `function` are not sliced then: every core has its own. The first item is done
     alone, as threads that meet a kernel that is not loaded yet would all compile it.
@@ -63,7 +66,8 @@ def on_all_cores(
     if device != "cpu":
         return done + [function(item) for item in queue]
 
-    with ThreadPoolExecutor(cpu_count(), "inhand-items", keep_launches_whole) as pool:
+    threads = min(cpu_count(), MOST_ITEM_THREADS)
+    with ThreadPoolExecutor(threads, "inhand-items", keep_launches_whole) as pool:
         return done + list(pool.map(function, queue))
 
 
