@@ -60,11 +60,11 @@ def launches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sizes
 
 
-@pytest.mark.parametrize("dim", [1, 2, 5, 6, 7, 1000])
+@pytest.mark.parametrize("dim", [1, 2, 11, 12, 13, 1000])
 def test_long_launches_are_cut_into_even_slices(launches: list[int], dim: int) -> None:
     np.testing.assert_array_equal(indices(dim, dim, LONG), np.arange(dim) + 1)
     assert sum(launches) == dim
-    assert len(launches) == min(dim, 3)
+    assert len(launches) == min(dim, 3 * seam.SLICES_PER_THREAD)
     assert max(launches) - min(launches) <= 1
 
 
@@ -73,13 +73,13 @@ def test_short_launches_are_not_cut(launches: list[int]) -> None:
     assert launches == [100]
 
 
-@pytest.mark.parametrize(("handovers", "slices"), [(3, 1), (4, 2), (9, 3), (17, 4), (900, 16)])
-def test_slices_are_as_many_as_end_a_launch_soonest(
-    launches: list[int], monkeypatch: pytest.MonkeyPatch, handovers: int, slices: int
+@pytest.mark.parametrize(("handovers", "threads"), [(3, 1), (4, 2), (9, 3), (17, 4), (900, 16)])
+def test_threads_are_as_many_as_end_a_launch_soonest(
+    launches: list[int], monkeypatch: pytest.MonkeyPatch, handovers: int, threads: int
 ) -> None:
     monkeypatch.setattr(seam, "cpu_count", lambda: 16)
-    indices(32, 32, handovers * seam.HANDOVER_OPERATIONS // 32 + 1)
-    assert len(launches) == slices
+    indices(640, 640, handovers * seam.HANDOVER_OPERATIONS // 640 + 1)
+    assert len(launches) == (1 if threads == 1 else threads * seam.SLICES_PER_THREAD)
 
 
 @pytest.mark.parametrize("work_per_item", [1, LONG])

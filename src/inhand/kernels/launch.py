@@ -7,8 +7,10 @@ import math
 import os
 import pkgutil
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, partial
@@ -26,6 +28,9 @@ Result = TypeVar("Result")
 
 # What it takes to hand a slice to a pool thread, in inner-loop operations of a kernel.
 HANDOVER_OPERATIONS = 15_000
+
+# Slices a thread takes on average: cores are not equally fast, nor is the work spread evenly.
+SLICES_PER_THREAD = 4
 
 # Threads that have an item each: more of them wait for Python's interpreter lock, and take longer.
 MOST_ITEM_THREADS = 8
@@ -112,8 +117,8 @@ def prepare(
 
     Every kernel takes a last parameter `first: int`, the index of its first work item, which is
     appended here. Warp's CPU backend runs a launch on the calling thread and releases the GIL, so
-    a long launch is cut into slices over a small thread pool. Slices write to disjoint outputs:
-    results do not depend on the number of threads.
+    a long launch is cut into slices, which it and threads of a small pool take as they come. Slices
+    write to disjoint outputs: results do not depend on the number of threads.
 
     Args:
         kernel: a Warp kernel whose last parameter is `first: int`.
@@ -125,18 +130,20 @@ def prepare(
     """
     if dim <= 0:
         return lambda: None
-    slices = 1
+    threads = 1
     if device == "cpu" and not getattr(_thread, "has_one_core", False):
-        # n slices take work / n + n handovers, which is least at:
+        # n threads take work / n + n handovers, which is least at:
         best = math.isqrt(dim * work_per_item // HANDOVER_OPERATIONS)
-        slices = max(1, min(dim, cpu_count(), best))
-    threads = (block_size(device),) if shared else ()
-    whole = _command(kernel, (dim, *threads), [*inputs, 0], device)
+        threads = max(1, min(dim, cpu_count(), best))
+    block = (block_size(device),) if shared else ()
+    whole = _command(kernel, (dim, *block), [*inputs, 0], device)
     assert kernel.adj.kernel_dim == 1 + shared, f"{kernel.key}: `shared` does not fit its wp.tid()"
+    # Commands hold the addresses of the arrays in `inputs`, which must live as long.
+    if threads == 1:
+        return partial(_run, [whole], 1, inputs)
+    slices = min(dim, SLICES_PER_THREAD * threads)
     spans = itertools.pairwise(dim * i // slices for i in range(slices + 1))
-    parts = [whole.part(a, (b - a, *threads)) for a, b in spans] if slices > 1 else [whole]
-    # They hold the addresses of the arrays in `inputs`, which must live as long.
-    return partial(_run, parts, inputs)
+    return partial(_run, [whole.part(a, (b - a, *block)) for a, b in spans], threads, inputs)
 
 
 _first_commands: dict[Any, Any] = {}
@@ -215,17 +222,21 @@ class _HostCommand:
         return _HostCommand(self.function, type(self.bounds)(dims), arguments)
 
 
-def _run(commands: Sequence[Any], _inputs: Sequence[Any]) -> None:
-    """Run commands that may run at the same time."""
-    jobs = [_pool().submit(command.launch) for command in commands[:-1]]
-    commands[-1].launch()
-    # Rather than sleep, this thread does what no other has begun.
-    for job, command in reversed(list(zip(jobs, commands, strict=False))):
-        if job.cancel():
-            command.launch()
-    for job in jobs:
-        if not job.cancelled():
-            job.result()
+def _run(commands: Sequence[Any], threads: int, _inputs: Sequence[Any]) -> None:
+    """Run commands that may run at the same time, on this thread and others."""
+    left = deque(commands)
+    helpers = [_pool().submit(_run_what_is, left) for _ in range(threads - 1)]
+    _run_what_is(left)
+    for helper in helpers:
+        if not helper.cancel():
+            helper.result()
+
+
+def _run_what_is(left: deque[Any]) -> None:
+    """Run the commands that no thread has begun."""
+    with suppress(IndexError):  # none is left
+        while True:
+            left.pop().launch()
 
 
 def empty(count: int, dtype: Any, device: str) -> Any:
