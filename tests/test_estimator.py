@@ -1,6 +1,8 @@
 """The pipeline as a whole: repeatable, free of state, for hands of any build."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import FrozenInstanceError, fields, replace
@@ -113,6 +115,33 @@ def test_a_batch_has_the_same_answers(
     with pytest.raises(InputError, match="depth"):
         estimator.estimate_batch([images[0], (None, *images[0][1:])], workers)
     assert_same(estimator.estimate_batch(images[:1], workers), [first])
+
+
+FIRST_IMAGES = """
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from inhand import PoseEstimator
+from inhand.synth.demo import regression_scenes
+
+scenes = regression_scenes()[:4]
+estimators = [PoseEstimator(scene.hand, scene.obj, device="cpu") for scene in scenes]
+
+def pose(i):
+    scene = scenes[i]
+    image = scene.depth[::2, ::2], scene.camera.subsampled(2), scene.T_camera_hand_given
+    return estimators[i].estimate(*image).T_camera_object
+
+with ThreadPoolExecutor(4) as pool:
+    together = list(pool.map(pose, range(4)))
+np.testing.assert_array_equal(together, [pose(i) for i in range(4)])
+"""
+
+
+def test_threads_may_estimate_the_first_images_of_a_process(scenes: list[Scene]) -> None:
+    """They meet kernels that are not loaded yet at the same time; `scenes` has compiled them."""
+    assert subprocess.run([sys.executable, "-c", FIRST_IMAGES]).returncode == 0
 
 
 @pytest.mark.parametrize("workers", [0, 1.5, "all", True])

@@ -63,17 +63,13 @@ def on_all_cores(
 ) -> list[Result]:
     """`function` of every item, in order; on a CPU up to eight cores have an item each.
 
-    Launches by `function` are not sliced then: every core has its own. The first item is done
-    alone, as threads that meet a kernel that is not loaded yet would all compile it.
+    Launches by `function` are not sliced then: every core has its own.
     """
-    queue = iter(items)
-    done = [function(item) for item in itertools.islice(queue, 1)]
     if device != "cpu":
-        return done + [function(item) for item in queue]
-
+        return [function(item) for item in items]
     threads = min(cpu_count(), MOST_ITEM_THREADS)
     with ThreadPoolExecutor(threads, "inhand-items", keep_launches_whole) as pool:
-        return done + list(pool.map(function, queue))
+        return list(pool.map(function, items))
 
 
 def keep_launches_whole() -> None:
@@ -147,6 +143,7 @@ def prepare(
 
 
 _first_commands: dict[Any, Any] = {}
+_loading = threading.Lock()
 
 
 def _command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
@@ -158,7 +155,8 @@ def _command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: 
     key = kernel, device, block, *map(_kind, inputs)
     first = _first_commands.get(key)
     if first is None:
-        first = _first_commands[key] = _checked_command(kernel, dims, inputs, device)
+        with _loading:  # two threads that load a module at once are left with one that is gone
+            first = _first_commands[key] = _checked_command(kernel, dims, inputs, device)
     values = map(_packed, inputs, first.params[1:])
     if device == "cpu" and block == 1:
         return _HostCommand(first.hooks.forward, type(first.bounds)(dims), first.arguments(*values))
@@ -318,4 +316,5 @@ def load_all_kernels(device: str, progress: Callable[[str], None] = lambda name:
         if any(isinstance(value, wp.Kernel) for value in vars(module).values()):
             progress(name)
             kernels = wp.get_module(module.__name__)
-            kernels.load(wp.get_device(device), block_dim=block_size(device))
+            with _loading:
+                kernels.load(wp.get_device(device), block_dim=block_size(device))
