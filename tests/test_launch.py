@@ -1,5 +1,8 @@
 import gc
+import os
 import re
+import subprocess
+import sys
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -97,6 +100,35 @@ def test_items_on_all_cores_keep_their_launches_whole(launches: list[int]) -> No
     found = on_all_cores(lambda dim: indices(dim, dim, LONG).sum(), [3, 4, 5, 6], "cpu")
     assert found == [6, 10, 15, 21]
     assert sorted(launches) == [3, 4, 5, 6]
+
+
+FORKED = """
+import multiprocessing
+import threading
+
+import numpy as np
+from probe_kernels import write_index
+
+from inhand.kernels import launch as seam
+
+seam.cpu_count = lambda: 3
+
+def helpers(_):
+    out = np.zeros(100, np.int32)
+    seam.launch(write_index, 100, [out], "cpu", work_per_item=10**6)
+    assert (out == np.arange(1, 101)).all()
+    return [t.name for t in threading.enumerate() if t.name.startswith("inhand")]
+
+assert helpers(0)
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    assert pool.apply(helpers, [0])
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    script = [sys.executable, "-W", "ignore", "-c", FORKED]
+    assert subprocess.run(script, cwd=Path(__file__).parent).returncode == 0
 
 
 def test_nothing_to_do_is_no_launch(launches: list[int]) -> None:

@@ -44,6 +44,10 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=cpu_count() - 1, thread_name_prefix="inhand")
 
 
+if hasattr(os, "register_at_fork"):  # a forked process has no threads, and needs its own
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
 @cache
 def cpu_count() -> int:
     """Number of CPU cores this process may use."""
