@@ -3,6 +3,8 @@ import os
 import re
 import subprocess
 import sys
+import threading
+import time
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -123,6 +125,27 @@ assert helpers(0)
 with multiprocessing.get_context("fork").Pool(1) as pool:
     assert pool.apply(helpers, [0])
 """
+
+
+def test_no_slice_runs_on_when_a_launch_is_interrupted(
+    launches: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, caller = seam._HostCommand.launch, threading.current_thread()
+    ended: list[float] = []
+
+    def slow(command: Any) -> None:
+        if threading.current_thread() is caller:
+            raise KeyboardInterrupt
+        time.sleep(0.05)
+        run(command)
+        ended.append(time.monotonic())
+
+    monkeypatch.setattr(seam._HostCommand, "launch", slow)
+    with pytest.raises(KeyboardInterrupt):
+        indices(1000, 1000, LONG)
+    interrupted = time.monotonic()
+    time.sleep(0.2)
+    assert all(end <= interrupted for end in ended), "it used arrays that may be gone"
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")

@@ -228,10 +228,13 @@ def _run(commands: Sequence[Any], threads: int, _inputs: Sequence[Any]) -> None:
     """Run commands that may run at the same time, on this thread and others."""
     left = deque(commands)
     helpers = [_pool().submit(_run_what_is, left) for _ in range(threads - 1)]
-    _run_what_is(left)
-    for helper in helpers:
-        if not helper.cancel():
-            helper.result()
+    try:
+        _run_what_is(left)
+    finally:  # when this is interrupted, too, nothing may use the arrays any more
+        left.clear()
+        for helper in helpers:
+            if not helper.cancel():
+                helper.result()
 
 
 def _run_what_is(left: deque[Any]) -> None:
