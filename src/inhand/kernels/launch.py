@@ -27,7 +27,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # What it takes to hand a slice to a pool thread, in inner-loop operations of a kernel.
-HANDOVER_OPERATIONS = 15_000
+HANDOVER_OPERATIONS = 8_000
 
 # Slices a thread takes on average: cores are not equally fast, nor is the work spread evenly.
 SLICES_PER_THREAD = 4
