@@ -76,7 +76,7 @@ def test_a_death_is_noticed() -> None:
 
 
 def test_a_process_that_comes_when_the_pool_is_gone_ends_quietly(tmp_path: Path) -> None:
-    gone = str(tmp_path / "gone")
+    gone = tmp_path / "gone"
     late = multiprocessing.get_context("spawn").Process(target=_start, args=(gone,))
     late.start()
     late.join()

@@ -36,7 +36,7 @@ class WorkerPool(Generic[Job, Result]):
         self._made_of = NamedTemporaryFile(prefix="inhand-")  # noqa: SIM115  # as long as the pool
         pickle.dump(make_worker, self._made_of)
         self._made_of.flush()
-        self._pool = ProcessPoolExecutor(count, context, _start, (self._made_of.name,))
+        self._pool = ProcessPoolExecutor(count, context, _start, (Path(self._made_of.name),))
 
     def map(self, jobs: Iterable[Job]) -> Iterator[Result]:
         """Results in the order of the jobs, which are fetched not much earlier than needed.
@@ -65,12 +65,12 @@ class WorkerPool(Generic[Job, Result]):
 _worker: Callable[[Any], Any] | None = None
 
 
-def _start(made_of: str) -> None:
+def _start(made_of: Path) -> None:
     global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process decides when to stop
-    threading.Thread(target=_end_with_parent, args=(Path(made_of),), daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(made_of,), daemon=True).start()
     try:
-        make_worker = pickle.loads(Path(made_of).read_bytes())
+        make_worker = pickle.loads(made_of.read_bytes())
     except FileNotFoundError:  # the pool is gone before this process was needed
         os._exit(0)
     _worker = make_worker()

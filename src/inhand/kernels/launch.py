@@ -26,7 +26,7 @@ from inhand.errors import InputError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# What it takes to hand a slice to a pool thread, in inner-loop operations of a kernel.
+# What it takes to hand slices to a pool thread, in inner-loop operations of a kernel.
 HANDOVER_OPERATIONS = 8_000
 
 # Slices a thread takes on average: cores are not equally fast, nor is the work spread evenly.
@@ -65,7 +65,7 @@ _thread = threading.local()
 def on_all_cores(
     function: Callable[[Item], Result], items: Iterable[Item], device: str
 ) -> list[Result]:
-    """`function` of every item, in order; on a CPU up to eight cores have an item each.
+    """`function` of every item, in order; on a CPU several cores have an item each.
 
     Launches by `function` are not sliced then: every core has its own.
     """
@@ -227,9 +227,9 @@ class _HostCommand:
 def _run(commands: Sequence[Any], threads: int, _inputs: Sequence[Any]) -> None:
     """Run commands that may run at the same time, on this thread and others."""
     left = deque(commands)
-    helpers = [_pool().submit(_run_what_is, left) for _ in range(threads - 1)]
+    helpers = [_pool().submit(_drain, left) for _ in range(threads - 1)]
     try:
-        _run_what_is(left)
+        _drain(left)
     finally:  # when this is interrupted, too, nothing may use the arrays any more
         left.clear()
         for helper in helpers:
@@ -237,7 +237,7 @@ def _run(commands: Sequence[Any], threads: int, _inputs: Sequence[Any]) -> None:
                 helper.result()
 
 
-def _run_what_is(left: deque[Any]) -> None:
+def _drain(left: deque[Any]) -> None:
     """Run the commands that no thread has begun."""
     with suppress(IndexError):  # none is left
         while True:
