@@ -168,6 +168,25 @@ def test_errors_reach_the_caller(work_per_item: int) -> None:
         launch(write_index, 10, [], "cpu", work_per_item=work_per_item)
 
 
+def test_errors_in_another_thread_reach_the_caller_each_time(
+    launches: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caller, failed = threading.current_thread(), threading.Event()
+
+    def fail(_command: Any) -> None:
+        if threading.current_thread() is caller:
+            assert failed.wait(60)
+        else:
+            failed.set()
+            raise OSError("no such slice")
+
+    monkeypatch.setattr(seam._HostCommand, "launch", fail)
+    for _ in range(seam.cpu_count() + 1):
+        failed.clear()
+        with pytest.raises(OSError, match="no such slice"):
+            indices(1000, 1000, LONG)
+
+
 @pytest.mark.parametrize("wrong", [{"dtype": float}, {"dtype": int, "ndim": 2}])
 def test_arguments_are_checked_also_after_right_ones(wrong: dict[str, Any]) -> None:
     np.testing.assert_array_equal(indices(3, 3, 1), [1, 2, 3])

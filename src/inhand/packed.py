@@ -113,7 +113,7 @@ class PackedHand:
         used, shape = links.astype(np.int32), (len(T_camera_link) // len(links), len(points))
         inputs = [on_device(points, wp.vec3, self.device), self.fields, T_camera_link]
         inputs += [on_device(used, int, self.device), farthest]
-        return computed(hand_distances, shape, float, inputs, self.device, work_per_item=10)
+        return computed(hand_distances, shape, float, inputs, self.device, work_per_item=20)
 
     def render(
         self,
@@ -145,7 +145,7 @@ class PackedHand:
         inputs = [pinhole(camera), self.fields, device_poses(T_camera_link, self.device)]
         inputs += [on_device(windows, wp.vec4i, self.device), wp.vec4i(*around), depth]
         inputs += [self._no_image if link is None else link]
-        launch(trace_bodies, pixels, inputs, self.device, work_per_item=30)
+        launch(trace_bodies, pixels, inputs, self.device, work_per_item=50)
         return depth
 
 

@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial
+from queue import SimpleQueue
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
@@ -40,12 +41,17 @@ CPU_BLOCK, GPU_BLOCK = 1, 128
 
 
 @cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max_workers=cpu_count() - 1, thread_name_prefix="inhand")
+def _idle_threads() -> "SimpleQueue[_Helper]":
+    """Where this process's threads wait to be helpers; a pool's futures take longer to hand over
+    than many a slice does to run."""
+    wanted: SimpleQueue[_Helper] = SimpleQueue()
+    for i in range(cpu_count() - 1):
+        threading.Thread(target=_help, args=(wanted,), name=f"inhand-{i}", daemon=True).start()
+    return wanted
 
 
 if hasattr(os, "register_at_fork"):  # a forked process has no threads, and needs its own
-    os.register_at_fork(after_in_child=_pool.cache_clear)
+    os.register_at_fork(after_in_child=_idle_threads.cache_clear)
 
 
 @cache
@@ -117,8 +123,8 @@ def prepare(
 
     Every kernel takes a last parameter `first: int`, the index of its first work item, which is
     appended here. Warp's CPU backend runs a launch on the calling thread and releases the GIL, so
-    a long launch is cut into slices, which it and threads of a small pool take as they come. Slices
-    write to disjoint outputs: results do not depend on the number of threads.
+    a long launch is cut into slices, which it and idle threads take as they come. Slices write to
+    disjoint outputs: results do not depend on the number of threads.
 
     Args:
         kernel: a Warp kernel whose last parameter is `first: int`.
@@ -224,17 +230,46 @@ class _HostCommand:
         return _HostCommand(self.function, type(self.bounds)(dims), arguments)
 
 
-def _run(commands: Sequence[Any], threads: int, _inputs: Sequence[Any]) -> None:
+@dataclass(slots=True)
+class _Helper:
+    """What another thread runs of a launch, if it finds the time before all is begun."""
+
+    left: deque[Any]
+    inputs: Sequence[Any]  # live as long as this
+    working: threading.Lock = field(default_factory=threading.Lock)
+    error: Exception | None = None
+
+    def run(self) -> None:
+        with self.working:
+            try:
+                _drain(self.left)
+            except Exception as error:
+                self.error = error
+
+    def join(self) -> None:
+        """Wait for what has begun; nothing is left for what has not."""
+        with self.working:
+            if self.error:
+                raise self.error
+
+
+def _help(wanted: "SimpleQueue[_Helper]") -> None:
+    while True:
+        wanted.get().run()
+
+
+def _run(commands: Sequence[Any], threads: int, inputs: Sequence[Any]) -> None:
     """Run commands that may run at the same time, on this thread and others."""
     left = deque(commands)
-    helpers = [_pool().submit(_drain, left) for _ in range(threads - 1)]
+    helpers = [_Helper(left, inputs) for _ in range(threads - 1)]
+    for helper in helpers:
+        _idle_threads().put(helper)
     try:
         _drain(left)
     finally:  # when this is interrupted, too, nothing may use the arrays any more
         left.clear()
         for helper in helpers:
-            if not helper.cancel():
-                helper.result()
+            helper.join()
 
 
 def _drain(left: deque[Any]) -> None:

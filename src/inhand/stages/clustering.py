@@ -50,7 +50,7 @@ def distinct_poses(poses: PoseSet, obj: PackedObject, distance: float, keep: int
         alike = wp.zeros((len(block), len(others)), dtype=int, device=obj.device)
         others_there = on_device(others, int, obj.device)
         inputs = [obj.surface, T, others_there, len(chosen), begin, distance, alike]
-        work = 4 * len(others)
+        work = 30 * len(others)
         launch(compare_poses, len(block), inputs, obj.device, work_per_item=work, shared=True)
         same = alike.numpy() > 0
         fresh = ~same[:, : len(chosen)].any(axis=1)

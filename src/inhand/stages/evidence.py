@@ -104,7 +104,7 @@ def agreement(
     n = min(samples.model_points, len(obj.points))
     inputs = [evidence.arrays, rule, T_camera_object, obj.points, obj.normals, n, obj.fields]
     inputs += [near or config.near, stride, float(weights.sum()) + 1e-6, worth]
-    shape, work = (len(T_camera_object),), 4 * (n + len(weights))
+    shape, work = (len(T_camera_object),), 6 * (n + len(weights))
     kernel, device = score_poses, obj.device
     return computed(kernel, shape, wp.vec2, inputs, device, work_per_item=work, shared=True)
 

@@ -100,7 +100,7 @@ def hand_support(
     inputs = [observation.view, rule, device_poses(T_camera_link, device), hand.points]
     inputs += [hand.normals, start, config.fine_points, hand.fields, hand.apart]
     inputs += [depth, shown, config.render_step]
-    kernel, shape, work = link_support, (count,), config.fine_points
+    kernel, shape, work = link_support, (count,), 15 * config.fine_points
     sums = computed(kernel, shape, SupportSums, inputs, device, work_per_item=work, shared=True)
     area, score, seen, other_score, other_seen = sums.astype(np.float64).T
     least = config.min_seen * area

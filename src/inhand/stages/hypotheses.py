@@ -44,7 +44,7 @@ def generate_hypotheses(
     inputs = [on_device(x, wp.vec3, device) for x in (segment.points, segment.normals)]
     inputs += [on_device(index, int, device) for index in pairs]
     inputs += [obj.pairs, matches, int(rng.integers(2**31)), drawn]
-    launch(match_pairs, len(pairs[0]), inputs, device, work_per_item=10 * matches)
+    launch(match_pairs, len(pairs[0]), inputs, device, work_per_item=25 * matches)
     poses = on_host(drawn)
     poses = poses[poses[:, 3, 3] > 0]  # an empty draw is a zero matrix
     if not len(poses):
