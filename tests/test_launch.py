@@ -239,7 +239,7 @@ def test_arrays_for_kernels_hold_what_they_are_given(
     given = on_device(values, dtype, "cpu")
     assert given.flags.c_contiguous
     np.testing.assert_array_equal(given, values)
-    filled = empty(count, dtype, "cpu")
+    filled = empty((count,), dtype, "cpu")
     assert (filled.shape, filled.dtype) == (given.shape, given.dtype)
     np.testing.assert_array_equal(wp.array(given, dtype=dtype, device="cpu").numpy(), values)
 

@@ -182,8 +182,8 @@ class PackedPart:
             q: positions of the joints [rad, m], shape (c, k).
             T_camera_hand: wrist poses, shape (c, 4, 4), or (1, 4, 4) for all.
         """
-        joints = wp.empty((len(q), self._joint_count), dtype=wp.mat44d, device=self.device)
-        links = empty(len(q) * len(self.links), wp.mat44, self.device)
+        joints = empty((len(q), self._joint_count), wp.mat44d, self.device)
+        links = empty((len(q) * len(self.links),), wp.mat44, self.device)
         wrists = on_device(T_camera_hand, wp.mat44d, self.device)
         positions = on_device(q, wp.float64, self.device)
         inputs = [self.chain, positions, wrists, joints, links]

@@ -102,7 +102,7 @@ def computed(
         shape: of the work items and the values.
         dtype: Warp type of the values.
     """
-    out = empty(math.prod(shape), dtype, device)
+    out = empty((math.prod(shape),), dtype, device)
     launch(kernel, len(out), [*inputs, out], device, **how)
     values = on_host(out)
     return values.reshape(*shape, *values.shape[1:])
@@ -279,13 +279,13 @@ def _drain(left: deque[Any]) -> None:
             left.pop().launch()
 
 
-def empty(count: int, dtype: Any, device: str) -> Any:
-    """A flat array of `count` values of a Warp type for kernels to fill; NumPy's on a CPU, which is
-    made ten times faster."""
+def empty(shape: tuple[int, ...], dtype: Any, device: str) -> Any:
+    """An array of values of a Warp type for kernels to fill; NumPy's on a CPU, which is made ten
+    times faster."""
     if not _takes_numpy(device):
-        return wp.empty(count, dtype=dtype, device=device)
-    scalar, shape = _layout(dtype)
-    return np.empty((count, *shape), scalar)
+        return wp.empty(shape, dtype=dtype, device=device)
+    scalar, of_value = _layout(dtype)
+    return np.empty(shape + of_value, scalar)
 
 
 def on_device(values: Any, dtype: Any, device: str) -> Any:

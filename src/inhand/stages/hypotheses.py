@@ -40,7 +40,7 @@ def generate_hypotheses(
         return generate_from_congruent_sets(segment, obj, config, rng)
     device, matches = obj.device, config.matches
     pairs = _sample_pairs(segment, obj, config, rng)
-    drawn: Any = empty(len(pairs[0]) * matches, wp.mat44, device)
+    drawn: Any = empty((len(pairs[0]) * matches,), wp.mat44, device)
     inputs = [on_device(x, wp.vec3, device) for x in (segment.points, segment.normals)]
     inputs += [on_device(index, int, device) for index in pairs]
     inputs += [obj.pairs, matches, int(rng.integers(2**31)), drawn]

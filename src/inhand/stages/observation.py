@@ -15,7 +15,7 @@ from inhand.geometry.se3 import transform
 from inhand.kernels.depth import pinhole
 from inhand.kernels.depth_image import RowSums, fit_planes, missing_in_rows, missing_share, sum_rows
 from inhand.kernels.hand_fit import DepthView
-from inhand.kernels.launch import computed, in_struct, launch
+from inhand.kernels.launch import computed, empty, in_struct, launch, on_host
 
 NEAREST = 1e-3
 """Smaller depths are no readings [m]; their inverses would overflow."""
@@ -166,7 +166,7 @@ def _noise(depth: NDArray[np.float32], inside: NDArray[np.bool_], apart: int) ->
 def _find_surfaces(view: Any, far: float, config: ObservationConfig) -> NDArray[np.float32]:
     """Fill in the normals of the view; smoothed depth [m], shape (h, w)."""
     device, shape = str(view.depth.device), (view.camera.height, view.camera.width)
-    sums = wp.empty(len(view.depth), dtype=RowSums, device=device)
+    sums = empty(view.depth.shape, RowSums, device)
     inputs = [view, config.normal_window, config.normal_gate, far, sums]
     launch(sum_rows, len(sums), inputs, device, work_per_item=10)
     return computed(fit_planes, shape, float, inputs, device, work_per_item=25)
@@ -178,10 +178,10 @@ def _find_missing(view: Any, radius: int) -> None:
     It counts from what is usual around pixels with a reading.
     """
     device, width, height = str(view.depth.device), view.camera.width, view.camera.height
-    in_rows = wp.empty(len(view.depth), dtype=int, device=device)
+    in_rows = empty(view.depth.shape, int, device)
     inputs = [view, radius, in_rows]
     launch(missing_in_rows, height, inputs, device, work_per_item=2 * width)
-    around, reading = in_rows.numpy()[::EVERY], view.depth.numpy()[::EVERY] > 0
+    around, reading = on_host(in_rows)[::EVERY], view.depth.numpy()[::EVERY] > 0
     usual = float(np.median(around[reading])) / (2 * radius + 1)
     launch(missing_share, width, [*inputs, usual], device, work_per_item=2 * height)
 

@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import RefinementConfig
-from inhand.kernels.launch import block_size, launch
+from inhand.kernels.launch import block_size, empty, launch, on_host
 from inhand.kernels.normal_equations import Vector6
 from inhand.kernels.object_fit import refine_poses
 from inhand.packed import PackedObject, device_poses
@@ -69,13 +69,13 @@ def fit_to_field(
         (m, 6), for twists x about the object's centre along the camera's axes.
     """
     device, m, n = obj.device, len(T_camera_object), min(points, len(obj.points))
-    sums = wp.empty((block_size(device), m, 7), dtype=Vector6, device=device)
-    refined = wp.empty(m, dtype=wp.mat44, device=device)
+    sums = empty((block_size(device), m, 7), Vector6, device)
+    refined = empty((m,), wp.mat44, device)
     inputs = [evidence.arrays, device_poses(T_camera_object, device)]
     inputs += [obj.points, obj.normals, n, obj.fields]
     inputs += [wp.vec3(*obj.model.centre.tolist()), 0.5 * obj.model.diameter]
     inputs += [iterations, *widths, evidence.stride(points), image_weight, sums, refined]
     work = 5 * iterations * (points + n)
     launch(refine_poses, m, inputs, device, work_per_item=work, shared=True)
-    systems = np.asarray(sums[0].numpy())
-    return np.asarray(refined.numpy()), systems[:, :6], systems[:, 6]
+    systems = on_host(sums)[0]
+    return on_host(refined), systems[:, :6], systems[:, 6]
