@@ -17,6 +17,7 @@ from inhand.camera import Camera
 from inhand.geometry.se3 import exp, inverse, skew, transform
 from inhand.hand import Hand
 from inhand.kernels.hand_fit import DepthView
+from inhand.kernels.launch import on_host
 from inhand.packed import PackedHand
 from inhand.stages.articulated_fit import ArticulatedFit, WristPrior
 from inhand.stages.observation import Observation
@@ -94,8 +95,8 @@ def system(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal equations (s, 6 + n, 6 + n) and (s, 6 + n), and the twists of the joints (s, j, 6)."""
     run = fit.begin(q, T_camera_hand, width, stride)
-    run.assemble()
-    return run.state.H.numpy(), run.state.g.numpy(), run.state.twists.numpy()
+    run.run()
+    return on_host(run.H), on_host(run.g), on_host(run.twists)
 
 
 def link_jacobians(hand: PackedHand, twists: np.ndarray) -> np.ndarray:

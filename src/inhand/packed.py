@@ -15,6 +15,7 @@ from inhand.kernels.depth import DepthRenderer, pinhole
 from inhand.kernels.fields import pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.hand_fit import hand_distances
+from inhand.kernels.hand_terms import FittedHand
 from inhand.kernels.kinematics import Chain, pose_links
 from inhand.kernels.launch import computed, empty, launch, on_device, pack
 from inhand.kernels.pair_matching import PairTable
@@ -39,6 +40,7 @@ class PackedHand:
         point_start: first sample of every link, and the end of the last, numpy (L + 1,).
         chain: the kinematics, `kernels.kinematics.Chain`.
         lower, upper: limits of the independent joints [rad, m], float64 (n).
+        fitted: all this as `kernels.hand_terms.FittedHand`.
         is_palm: whether each link is rigid with the root, numpy (L,).
         apart: whether two links belong to different parts, palm or fingers, flat (L * L), int.
         whole: all links, `PackedPart`.
@@ -64,6 +66,9 @@ class PackedHand:
         self.lower, self.upper = (
             wp.array(limits, dtype=wp.float64, device=device) for limits in (hand.lower, hand.upper)
         )
+        self.fitted = FittedHand()
+        for name in ("fields", "points", "normals", "link", "chain", "lower", "upper"):
+            setattr(self.fitted, name, getattr(self, name))
         self.is_palm = np.isin(np.arange(len(hand.links)), hand.palm_links)
         part = np.zeros(len(hand.links), dtype=int)
         for i, finger in enumerate(hand.fingers):

@@ -10,14 +10,18 @@ from inhand.kernels.normal_equations import Vector6, row_of
 
 
 @wp.struct
-class WristPrior:
-    """What is known of the wrist before looking, with the information it is known with."""
+class FittedHand:
+    """A hand as it is fitted."""
 
-    T_camera_hand: wp.mat44d
-    rotation: wp.float64
-    """Per axis [1/rad^2]."""
-    translation: wp.float64
-    """Per axis [1/m^2]."""
+    fields: Fields
+    points: wp.array(dtype=wp.vec3)
+    """Surface samples of the links [m], link frames."""
+    normals: wp.array(dtype=wp.vec3)
+    link: wp.array(dtype=int)
+    chain: Chain
+    lower: wp.array(dtype=wp.float64)
+    """Limits of the independent joints [rad, m]."""
+    upper: wp.array(dtype=wp.float64)
 
 
 @wp.struct
@@ -25,31 +29,26 @@ class FitProblem:
     """What a hand is fitted to, and how."""
 
     view: DepthView
+    hand: FittedHand
     points: wp.array(dtype=wp.vec3)
     """Scene points [m], camera frame."""
     normals: wp.array(dtype=wp.vec3)
-    fields: Fields
-    hand_points: wp.array(dtype=wp.vec3)
-    """Surface samples of the links [m], link frames."""
-    hand_normals: wp.array(dtype=wp.vec3)
-    hand_link: wp.array(dtype=int)
-    chain: Chain
-    lower: wp.array(dtype=wp.float64)
-    """Limits of the independent joints [rad, m]."""
-    upper: wp.array(dtype=wp.float64)
     used: wp.array(dtype=int)
     """Per link, 0 leaves it out."""
     free: wp.array(dtype=int)
     """Per independent joint, 0 holds it."""
-    prior: WristPrior
+    stride: int
+    """Every so-many-th point takes part."""
     information: wp.float64
     """Information of one point [1/m^2]."""
     joint_damping: wp.float64
     """Information that holds every joint where it is in a step [1/rad^2]."""
-    widths: wp.array(dtype=float)
-    """Width of the redescending weight in every iteration [m]."""
-    stride: int
-    """Every so-many-th point takes part."""
+    prior: wp.mat44d
+    """What is known of the wrist's pose before looking."""
+    prior_rotation: wp.float64
+    """Information of it per axis [1/rad^2]."""
+    prior_translation: wp.float64
+    """[1/m^2]."""
 
 
 @wp.struct
@@ -60,8 +59,6 @@ class FitState:
     """Positions of the independent joints [rad, m], (s, n)."""
     T_camera_hand: wp.array(dtype=wp.mat44d)
     """Wrists, (s); rotations are about their origins."""
-    iteration: wp.array(dtype=int)
-    """Iterations done, (s)."""
     T_camera_joint: wp.array2d(dtype=wp.mat44d)
     T_camera_link: wp.array(dtype=wp.mat44)
     """Flat (s * L)."""
@@ -86,16 +83,15 @@ def add_term(state: FitState, start: int, lane: int, link: int, row: Vector6, r:
 
 
 @wp.func
-def add_scene_terms(problem: FitProblem, state: FitState, start: int, lane: int):
+def add_scene_terms(problem: FitProblem, state: FitState, width: float, start: int, lane: int):
     """Add the distances of the scene points to the nearest link's surface."""
     links = problem.used.shape[0]
     c = wp.vec3(state.T_camera_hand[start][:3, 3])
-    width = problem.widths[state.iteration[start]]
     step = wp.block_dim() * problem.stride
     for i in range(lane * problem.stride, problem.points.shape[0], step):
         p = problem.points[i]
         distance, gradient, k = nearest_body(
-            problem.fields, state.T_camera_link, start * links,
+            problem.hand.fields, state.T_camera_link, start * links,
             problem.used, 0, p, width,
         )  # fmt: skip
         if k < 0:
@@ -107,28 +103,30 @@ def add_scene_terms(problem: FitProblem, state: FitState, start: int, lane: int)
 
 
 @wp.func
-def add_hand_terms(problem: FitProblem, state: FitState, start: int, lane: int):
+def add_hand_terms(problem: FitProblem, state: FitState, width: float, start: int, lane: int):
     """Add the plane distances of the surface samples to the readings on their rays."""
-    links = problem.used.shape[0]
+    hand, links = problem.hand, problem.used.shape[0]
     c = wp.vec3(state.T_camera_hand[start][:3, 3])
-    width = problem.widths[state.iteration[start]]
     step = wp.block_dim() * problem.stride
-    for i in range(lane * problem.stride, problem.hand_points.shape[0], step):
-        k = problem.hand_link[i]
+    for i in range(lane * problem.stride, hand.points.shape[0], step):
+        k = hand.link[i]
         if problem.used[k] == 0:
             continue
         T = state.T_camera_link[start * links + k]
-        p = wp.transform_point(T, problem.hand_points[i])
-        n = wp.transform_vector(T, problem.hand_normals[i])
+        p = wp.transform_point(T, hand.points[i])
+        n = wp.transform_vector(T, hand.normals[i])
         r, w, _pixel = sample_residual(problem.view, p, n, width)
         if w > 0.0:
             add_term(state, start, lane, k, row_of(p - c, n), r, w)
 
 
 @wp.func
-def add_terms(problem: FitProblem, state: FitState, start: int, lane: int):
-    """Sum over this thread's share of the points of the scene and of the hand."""
+def add_terms(problem: FitProblem, state: FitState, width: float, start: int, lane: int):
+    """Sum over this thread's share of the points of the scene and of the hand.
+
+    `width`: of the redescending weight [m].
+    """
     for k in range(state.sums.shape[2]):
         state.sums[lane, start, k] = Vector6()
-    add_scene_terms(problem, state, start, lane)
-    add_hand_terms(problem, state, start, lane)
+    add_scene_terms(problem, state, width, start, lane)
+    add_hand_terms(problem, state, width, start, lane)

@@ -289,8 +289,8 @@ def empty(shape: tuple[int, ...], dtype: Any, device: str) -> Any:
 
 
 def on_device(values: Any, dtype: Any, device: str) -> Any:
-    """A NumPy array, (n, *shape of a `dtype`), for a launch to read; on a CPU it sees the array's
-    own memory, so it must not write."""
+    """A NumPy array, (n, *shape of a `dtype`), for a launch; on a CPU it sees the array's own
+    memory, and writes there what it writes."""
     if not _takes_numpy(device):
         return wp.array(values, dtype=dtype, device=device)
     return np.ascontiguousarray(values, _layout(dtype)[0])
@@ -299,6 +299,14 @@ def on_device(values: Any, dtype: Any, device: str) -> Any:
 def in_struct(values: Any, dtype: Any, device: str) -> Any:
     """As `on_device`, for a member of a Warp struct."""
     return wp.array(values, dtype=dtype, device=device, copy=False)
+
+
+def assign(array: Any, values: NDArray[Any]) -> None:
+    """Write over the values of an array that is on a device."""
+    if isinstance(array, np.ndarray):
+        array[...] = values
+    else:
+        array.assign(values)
 
 
 def on_host(values: Any) -> NDArray[Any]:

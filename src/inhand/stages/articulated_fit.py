@@ -9,7 +9,6 @@ device.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,9 @@ from numpy.typing import NDArray
 
 from inhand.config import HandStateConfig
 from inhand.geometry.se3 import Array
-from inhand.kernels import gauss_newton as kernels
-from inhand.kernels import hand_terms
+from inhand.kernels.gauss_newton import refine_states
 from inhand.kernels.kinematics import Twist
-from inhand.kernels.launch import block_size, in_struct, launch, prepare
+from inhand.kernels.launch import assign, block_size, empty, on_device, on_host, prepare
 from inhand.kernels.normal_equations import Vector6
 from inhand.packed import PackedHand
 from inhand.stages.observation import Observation
@@ -63,21 +61,13 @@ class ArticulatedFit:
         point_information: float,
         joint_damping: float,
     ) -> None:
-        device = hand.device
+        device, c = hand.device, observation.cloud_on_device
         self.hand = hand
         self.point_information = point_information
-        p = hand_terms.FitProblem()
-        p.view = observation.view
-        p.points, p.normals = observation.cloud_on_device
-        p.fields, p.chain = hand.fields, hand.chain
-        p.hand_points, p.hand_normals, p.hand_link = hand.points, hand.normals, hand.link
-        p.lower, p.upper = hand.lower, hand.upper
-        p.used = in_struct(used.astype(np.int32), int, device)
-        p.free = in_struct(free.astype(np.int32), int, device)
-        p.prior.T_camera_hand = wp.mat44d(prior.T_camera_hand)
-        p.prior.rotation, p.prior.translation = prior.sd_rotation**-2.0, prior.sd_translation**-2.0
-        p.joint_damping = joint_damping
-        self.problem = p
+        self._view = [observation.view, hand.fitted, *c]
+        self._counted = [on_device(x, int, device) for x in (used, free)]
+        self._prior = [joint_damping, wp.mat44d(prior.T_camera_hand)]
+        self._prior += [prior.sd_rotation**-2.0, prior.sd_translation**-2.0]
 
     def refine(
         self, q: Array, T_camera_hand: Array, widths: Array, stride: int = 1
@@ -90,44 +80,34 @@ class ArticulatedFit:
             widths: width of the redescending weight in every iteration [m].
             stride: every so-many-th point takes part.
         """
-        state = self._start(q, T_camera_hand, widths, stride)
-        work = len(widths) * self._work(stride)
-        kernel, inputs, device = kernels.refine_states, [self.problem, state], self.hand.device
-        launch(kernel, len(q), inputs, device, work_per_item=work, shared=True)
-        return state.q.numpy(), state.T_camera_hand.numpy()
+        fit = self._prepare(q, T_camera_hand, widths, stride, moving=True)
+        fit.run()
+        return on_host(fit.q), on_host(fit.T_camera_hand)
 
-    def begin(self, q: Array, T_camera_hand: Array, width: float, stride: int) -> "FitInProgress":
-        """A refinement that is done step by step; arguments as `refine`, of one width."""
-        state = self._start(q, T_camera_hand, np.array([width]), stride)
-        kernel, inputs, work = kernels.assemble_systems, [self.problem, state], self._work(stride)
-        device = self.hand.device
-        assemble = prepare(kernel, len(q), inputs, device, work_per_item=work, shared=True)
-        return FitInProgress(state, assemble)
+    def begin(self, q: Array, T_camera_hand: Array, width: float, stride: int) -> "PreparedFit":
+        """Systems for steps that are taken elsewhere; arguments as `refine`, of one width."""
+        return self._prepare(q, T_camera_hand, np.array([width]), stride, moving=False)
 
-    def _work(self, stride: int) -> int:
-        """Rough number of operations of one iteration of one start."""
-        return (10 * len(self.problem.points) + 4 * len(self.problem.hand_points)) // stride
-
-    def _start(self, q: Array, T_camera_hand: Array, widths: Array, stride: int) -> Any:
-        """State of a refinement that is still to be done; completes the problem."""
+    def _prepare(
+        self, q: Array, T_camera_hand: Array, widths: Array, stride: int, *, moving: bool
+    ) -> "PreparedFit":
         hand, device, starts, parameters = self.hand, self.hand.device, len(q), 6 + q.shape[1]
         links, joints = len(hand.hand.links), len(hand.hand.chain.parent)
-        empty = partial(wp.empty, device=device)
-        problem, state = self.problem, hand_terms.FitState()
-        problem.widths = in_struct(widths, float, device)
-        problem.stride = stride
-        problem.information = stride * self.point_information
-        # Copies: the kernels move them.
-        state.q = wp.array(q, dtype=wp.float64, device=device)
-        state.T_camera_hand = wp.array(T_camera_hand, dtype=wp.mat44d, device=device)
-        state.iteration = wp.zeros(starts, dtype=int, device=device)
-        state.T_camera_joint = empty((starts, joints), dtype=wp.mat44d)
-        state.T_camera_link = empty(starts * links, dtype=wp.mat44)
-        state.sums = empty((block_size(device), starts, 7 * links), dtype=Vector6)
-        state.twists = empty((starts, joints), dtype=Twist)
-        state.H = empty((starts, parameters, parameters), dtype=wp.float64)
-        state.g = empty((starts, parameters), dtype=wp.float64)
-        return state
+        inputs = [*self._view, *self._counted, stride, stride * self.point_information]
+        inputs += [*self._prior, on_device(widths, float, device), int(moving)]
+        # Copies: the kernel moves them.
+        q = on_device(q.copy(), wp.float64, device)
+        T_camera_hand = on_device(T_camera_hand.copy(), wp.mat44d, device)
+        H = empty((starts, parameters, parameters), wp.float64, device)
+        g = empty((starts, parameters), wp.float64, device)
+        inputs += [q, T_camera_hand, empty((starts, joints), wp.mat44d, device)]
+        inputs += [empty((starts * links,), wp.mat44, device)]
+        inputs += [empty((block_size(device), starts, 7 * links), Vector6, device)]
+        inputs += [twists := empty((starts, joints), Twist, device), H, g]
+        points = 10 * len(self._view[2]) + 4 * len(hand.points)
+        work = len(widths) * points // stride
+        run = prepare(refine_states, starts, inputs, device, work_per_item=work, shared=True)
+        return PreparedFit(q, T_camera_hand, twists, H, g, run)
 
 
 def whole_hand_fit(
@@ -146,10 +126,29 @@ def whole_hand_fit(
 
 
 @dataclass(frozen=True)
-class FitInProgress:
-    """A refinement between its steps."""
+class PreparedFit:
+    """A fit that can be run; its arrays are on the device."""
 
-    state: Any
-    """What it changes, on the device, `kernels.hand_terms.FitState`."""
-    assemble: Callable[[], None]
-    """Makes the systems `state.H` x = `state.g`, without priors, where joints and wrists are."""
+    q: Any
+    """Joints of every start [rad], (s, n)."""
+    T_camera_hand: Any
+    """Wrists, (s)."""
+    twists: Any
+    """Twist of what each joint carries per unit of its source, (s, j, 6)."""
+    H: Any
+    """The last iteration's systems H x = g over wrist and joints, (s, 6 + n, 6 + n)."""
+    g: Any
+    """(s, 6 + n)."""
+    run: Callable[[], None]
+
+    def system(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
+        """The system without priors, H (6 + n, 6 + n) and g (6 + n,), of the one start elsewhere.
+
+        Args:
+            q: joints [rad], shape (n,).
+            T_camera_hand: wrist, shape (4, 4).
+        """
+        assign(self.q, q[None])
+        assign(self.T_camera_hand, T_camera_hand[None])
+        self.run()
+        return on_host(self.H)[0], on_host(self.g)[0]

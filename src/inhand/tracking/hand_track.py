@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from inhand.geometry import se3
 from inhand.geometry.se3 import moved
 from inhand.packed import PackedHand
-from inhand.stages.articulated_fit import ArticulatedFit, FitInProgress, WristPrior
+from inhand.stages.articulated_fit import ArticulatedFit, PreparedFit, WristPrior
 from inhand.stages.hand_visibility import hand_support
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState
@@ -63,27 +63,26 @@ def follow_hand(
     sd = np.array([wrist.prior_sd_rotation] * 3 + [wrist.prior_sd_translation] * 3)
     anchor[range(6), range(6)] = sd**-2.0 / c.anchor
     T, q = track.T_camera_hand, track.joint_vector
+    information = c.stride * c.point_information
     for _ in range(c.iterations):
-        fit.assemble()
-        H = c.stride * c.point_information * fit.state.H.numpy()[0] + prior + anchor
-        g = c.stride * c.point_information * fit.state.g.numpy()[0]
-        g += prior @ _way(T, q, track.T_camera_hand, track.joint_vector)
+        H, g = fit.system(q, T)
+        H = information * H + prior + anchor
+        g = information * g + prior @ _way(T, q, track.T_camera_hand, track.joint_vector)
         g += anchor @ _way(T, q, track.given, q)
-        step = np.linalg.solve(H, g)
+        step = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         T = moved(T, step[:6], ORIGIN)
         q = np.clip(q + step[6:], hand.hand.lower, hand.hand.upper)
-        fit.state.T_camera_hand.assign(T[None])
-        fit.state.q.assign(q[None])
     T_camera_link = hand.link_poses(q[None], T[None])[0]
     certain = _certain_links(observation, hand, T_camera_link, config)
     if certain is None:
         return _hidden(hand, track)
-    return FollowedHand(HandState(q, T, T_camera_link, certain), np.linalg.inv(H))
+    covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
+    return FollowedHand(HandState(q, T, T_camera_link, certain), covariance)
 
 
 def _fit_from(
     observation: Observation, hand: PackedHand, track: Track, config: TrackerConfig
-) -> FitInProgress:
+) -> PreparedFit:
     """The estimator's refinement of wrist and joints, begun at the prediction."""
     c, wrist = config.hand, config.estimator.wrist
     fit = ArticulatedFit(
