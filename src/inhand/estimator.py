@@ -329,16 +329,21 @@ def check_depth(depth: Any, camera: Camera) -> NDArray[np.float32]:
             f"depth is {image.shape[1]} x {image.shape[0]} pixels but the camera "
             f"{camera.width} x {camera.height}; scale the intrinsics with the image"
         )
-    readings = image[np.isfinite(image) & (image != 0)]
-    if (readings < 0).any():
-        raise InputError("depth holds negative numbers; z points away from the camera")
-    if 2 * np.count_nonzero(readings > FARTHEST) > len(readings):
-        raise InputError(
-            f"the median depth is {np.median(readings):.4g} m: the image seems to be in "
-            "millimetres; multiply it by 0.001"
-        )
+    if np.fmin.reduce(image, axis=None) < 0 or np.fmax.reduce(image, axis=None) > FARTHEST:
+        _check_readings(image[np.isfinite(image) & (image != 0)])
     with np.errstate(over="ignore"):  # becomes inf, no reading
         return image.astype(np.float32)
+
+
+def _check_readings(depth: NDArray[Any]) -> None:
+    """Raise `InputError` if depth readings cannot be metres in front of the camera."""
+    if (depth < 0).any():
+        raise InputError("depth holds negative numbers; z points away from the camera")
+    if 2 * np.count_nonzero(depth > FARTHEST) > len(depth):
+        raise InputError(
+            f"the median depth is {np.median(depth):.4g} m: the image seems to be in "
+            "millimetres; multiply it by 0.001"
+        )
 
 
 def check_wrist(T_camera_hand: Any) -> NDArray[np.float64]:
