@@ -61,11 +61,11 @@ class ArticulatedFit:
         point_information: float,
         joint_damping: float,
     ) -> None:
-        device, c = hand.device, observation.cloud_on_device
         self.hand = hand
         self.point_information = point_information
-        self._view = [observation.view, hand.fitted, *c]
-        self._counted = [on_device(x, int, device) for x in (used, free)]
+        self._points = len(observation.points)
+        self._fixed = [observation.view, hand.fitted, *observation.cloud_on_device]
+        self._fixed += [on_device(x, int, hand.device) for x in (used, free)]
         self._prior = [joint_damping, wp.mat44d(prior.T_camera_hand)]
         self._prior += [prior.sd_rotation**-2.0, prior.sd_translation**-2.0]
 
@@ -85,7 +85,7 @@ class ArticulatedFit:
         return on_host(fit.q), on_host(fit.T_camera_hand)
 
     def begin(self, q: Array, T_camera_hand: Array, width: float, stride: int) -> "PreparedFit":
-        """Systems for steps that are taken elsewhere; arguments as `refine`, of one width."""
+        """A fit whose steps the caller takes; arguments as `refine`, of one width."""
         return self._prepare(q, T_camera_hand, np.array([width]), stride, moving=False)
 
     def _prepare(
@@ -93,7 +93,7 @@ class ArticulatedFit:
     ) -> "PreparedFit":
         hand, device, starts, parameters = self.hand, self.hand.device, len(q), 6 + q.shape[1]
         links, joints = len(hand.hand.links), len(hand.hand.chain.parent)
-        inputs = [*self._view, *self._counted, stride, stride * self.point_information]
+        inputs = [*self._fixed, stride, stride * self.point_information]
         inputs += [*self._prior, on_device(widths, float, device), int(moving)]
         # Copies: the kernel moves them.
         q = on_device(q.copy(), wp.float64, device)
@@ -104,8 +104,7 @@ class ArticulatedFit:
         inputs += [empty((starts * links,), wp.mat44, device)]
         inputs += [empty((block_size(device), starts, 7 * links), Vector6, device)]
         inputs += [twists := empty((starts, joints), Twist, device), H, g]
-        points = 10 * len(self._view[2]) + 4 * len(hand.points)
-        work = len(widths) * points // stride
+        work = len(widths) * (10 * self._points + 4 * len(hand.points)) // stride
         run = prepare(refine_states, starts, inputs, device, work_per_item=work, shared=True)
         return PreparedFit(q, T_camera_hand, twists, H, g, run)
 
@@ -142,7 +141,9 @@ class PreparedFit:
     run: Callable[[], None]
 
     def system(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
-        """The system without priors, H (6 + n, 6 + n) and g (6 + n,), of the one start elsewhere.
+        """The system without priors, H (6 + n, 6 + n) and g (6 + n,), of the one start, put there.
+
+        The next call may write over it.
 
         Args:
             q: joints [rad], shape (n,).
