@@ -436,6 +436,7 @@ def test_a_killed_server_loses_nothing(
     tmp_path: Path,
     scenes: list[Scene],
     capsys: pytest.CaptureFixture[str],
+    interruptible: None,
 ) -> None:
     joint = joint_field(scenes[PART].hand.joint_names[0])
     with running(command) as (process, where, _):

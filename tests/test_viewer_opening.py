@@ -212,7 +212,7 @@ def test_bad_arguments_end_with_a_line(
     assert error.count("\n") == 1
 
 
-def test_it_serves_until_it_is_interrupted() -> None:
+def test_it_serves_until_it_is_interrupted(interruptible: None) -> None:
     code = "import sys; from inhand.cli import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", code, "view", "--port", "0", "--device", "cpu"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
