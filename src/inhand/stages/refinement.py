@@ -77,5 +77,5 @@ def fit_to_field(
     inputs += [iterations, *widths, evidence.stride(points), image_weight, sums, refined]
     work = 5 * iterations * (points + n)
     launch(refine_poses, m, inputs, device, work_per_item=work, shared=True)
-    systems = on_host(sums)[0]
+    systems = on_host(sums[0])
     return on_host(refined), systems[:, :6], systems[:, 6]
