@@ -27,7 +27,7 @@ from inhand.errors import InputError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# What it takes to hand slices to a pool thread, in inner-loop operations of a kernel.
+# What it takes to hand slices to another thread, in inner-loop operations of a kernel.
 HANDOVER_OPERATIONS = 8_000
 
 # Slices a thread takes on average: cores are not equally fast, nor is the work spread evenly.

@@ -63,7 +63,7 @@ class ArticulatedFit:
     ) -> None:
         self.hand = hand
         self.point_information = point_information
-        self._points = len(observation.points)
+        self._scene_points = len(observation.points)
         self._fixed = [observation.view, hand.fitted, *observation.cloud_on_device]
         self._fixed += [on_device(x, int, hand.device) for x in (used, free)]
         self._prior = [joint_damping, wp.mat44d(prior.T_camera_hand)]
@@ -104,7 +104,7 @@ class ArticulatedFit:
         inputs += [empty((starts * links,), wp.mat44, device)]
         inputs += [empty((block_size(device), starts, 7 * links), Vector6, device)]
         inputs += [twists := empty((starts, joints), Twist, device), H, g]
-        work = len(widths) * (10 * self._points + 4 * len(hand.points)) // stride
+        work = len(widths) * (10 * self._scene_points + 4 * len(hand.points)) // stride
         run = prepare(refine_states, starts, inputs, device, work_per_item=work, shared=True)
         return PreparedFit(q, T_camera_hand, twists, H, g, run)
 
@@ -139,6 +139,7 @@ class PreparedFit:
     g: Any
     """(s, 6 + n)."""
     run: Callable[[], None]
+    """Does all iterations, from where joints and wrists are."""
 
     def system(self, q: Array, T_camera_hand: Array) -> tuple[Array, Array]:
         """The system without priors, H (6 + n, 6 + n) and g (6 + n,), of the one start, put there.
