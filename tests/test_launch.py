@@ -1,4 +1,5 @@
 import gc
+import math
 import os
 import re
 import subprocess
@@ -57,7 +58,7 @@ def launches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     run = seam._HostCommand.launch
 
     def record(command: Any) -> None:
-        sizes.append(command.bounds.size)
+        sizes.append(math.prod(command.dims))
         run(command)
 
     monkeypatch.setattr(seam._HostCommand, "launch", record)
@@ -245,7 +246,7 @@ def test_arrays_for_kernels_hold_what_they_are_given(
 
 
 def test_arguments_live_no_longer_than_the_launch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(seam, "_first_commands", {})  # what the first launch records is kept
+    monkeypatch.setattr(seam, "_known", {})  # so that this launch is the first
     out = wp.zeros(3, dtype=int, device="cpu")
     alive = weakref.ref(out)
     run = prepare(write_index, 3, [out], "cpu")

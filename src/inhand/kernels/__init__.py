@@ -1,4 +1,9 @@
-"""Warp kernels, grouped by what they compute, and the one place that launches them."""
+"""Warp kernels, grouped by what they compute, and the one place that launches them.
+
+Loops over points are `while`, with the step first, as they `continue`: what Warp makes of
+`range` checks the sign of the step and packs and unpacks its numbers in every round, which makes
+kernels 10 to 20 % slower on a CPU.
+"""
 
 import warp as wp
 

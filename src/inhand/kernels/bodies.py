@@ -27,7 +27,9 @@ def nearest_body(
     best = farthest
     nearest = int(-1)
     gradient = wp.vec3(0.0, 0.0, 0.0)
-    for body in range(fields.start.shape[0]):
+    body = int(-1)
+    while body + 1 < fields.start.shape[0]:
+        body += 1
         if used[first_used + body] == 0:
             continue
         T = T_world_body[first_pose + body]

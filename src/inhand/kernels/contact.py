@@ -36,7 +36,9 @@ def link_clearances(
     # The sphere goes to the points: most of them need no transform then.
     centre = to_local(T, s[:3])
     nearest = farthest
-    for k in range(n_points):
+    k = int(-1)
+    while k + 1 < n_points:
+        k += 1
         offset = points[k] - centre
         bound = s[3] + wp.max(nearest, 0.0)
         if wp.dot(offset, offset) < bound * bound:
@@ -75,7 +77,9 @@ def configuration_clearances(
     middle = 0.5 * (fields.low[0] + fields.high[0])
     radius = wp.length(fields.high[0] - middle)
     nearest = farthest
-    for k in range(n_points):
+    k = int(-1)
+    while k + 1 < n_points:
+        k += 1
         p = wp.transform_point(T_camera_link[links + link[k]], points[k])
         local = to_local(T, p)
         bound = radius + wp.max(nearest, 0.0)

@@ -22,7 +22,10 @@ def sum_row(view: DepthView, i: int, z: float, window: float, gate: float):
     width = view.camera.width
     u = i % width
     n, x, xx, w, xw = float(0.0), float(0.0), float(0.0), float(0.0), float(0.0)
-    for du in range(wp.max(-radius, -u), wp.min(radius, width - 1 - u) + 1):
+    du = wp.max(-radius, -u) - 1
+    last = wp.min(radius, width - 1 - u)
+    while du < last:
+        du += 1
         d = view.depth[i + du]
         if wp.abs(d - z) <= gate * window and d > 0.0:
             n += 1.0
@@ -84,7 +87,10 @@ def fit_planes(
     radius = window_radius(camera, window, z)
     # Sums of the rows, of the rows times y, as many pixels below, and of the readings' y^2.
     s, s_y, s_yy = RowSums(), RowSums(), float(0.0)
-    for dv in range(wp.max(-radius, -v), wp.min(radius, camera.height - 1 - v) + 1):
+    dv = wp.max(-radius, -v) - 1
+    last = wp.min(radius, camera.height - 1 - v)
+    while dv < last:
+        dv += 1
         j = i + dv * camera.width
         row = sums[j]
         if wp.abs(depth[j] - z) > gate * window or depth[j] <= 0.0:
@@ -114,7 +120,9 @@ def missing_in_rows(view: DepthView, radius: int, count: wp.array(dtype=int), fi
     width = view.camera.width
     row = (first + wp.tid()) * width
     missing = int(0)
-    for u in range(-radius, width):
+    u = -radius - 1
+    while u + 1 < width:
+        u += 1
         if u + radius < width and view.depth[row + u + radius] <= 0.0:
             missing += 1
         if u > radius and view.depth[row + u - radius - 1] <= 0.0:
@@ -141,7 +149,9 @@ def missing_share(
     u = first + wp.tid()
     across = wp.min(u + radius, width - 1) - wp.max(u - radius, 0) + 1
     missing = int(0)
-    for v in range(-radius, height):
+    v = -radius - 1
+    while v + 1 < height:
+        v += 1
         if v + radius < height:
             missing += in_rows[(v + radius) * width + u]
         if v > radius:

@@ -62,7 +62,9 @@ def trace_bodies(
     winner = int(-1)
     if nearest <= 0.0:
         nearest = 1.0e6
-    for body in range(windows.shape[0]):
+    body = int(-1)
+    while body + 1 < windows.shape[0]:
+        body += 1
         window = windows[body]
         if u < window[0] or v < window[1] or u >= window[2] or v >= window[3]:
             continue

@@ -36,22 +36,33 @@ class Visibility:
 
 
 @wp.func
+def column_and_row(camera: Pinhole, p: wp.vec3):
+    """Of the pixel that shows point `p`, as whole floating point numbers."""
+    u = wp.floor(camera.fx * p[0] / p[2] + camera.cx + 0.5)
+    v = wp.floor(camera.fy * p[1] / p[2] + camera.cy + 0.5)
+    return u, v
+
+
+@wp.func
 def pixel_of(camera: Pinhole, p: wp.vec3):
     """Index of the pixel that shows point `p`, -1 outside the image."""
     if p[2] <= 1.0e-3:
         return -1
-    u = int(wp.floor(camera.fx * p[0] / p[2] + camera.cx + 0.5))
-    v = int(wp.floor(camera.fy * p[1] / p[2] + camera.cy + 0.5))
+    column, row = column_and_row(camera, p)
+    u, v = int(column), int(row)
     if u < 0 or v < 0 or u >= camera.width or v >= camera.height:
         return -1
     return v * camera.width + u
 
 
 @wp.func
-def coarse_pixel(width: int, step: int, pixel: int):
-    """Index in an image of every `step`-th pixel, for a pixel of an image of `width`."""
-    coarse_width = (width + step - 1) // step
-    return (pixel // width) // step * coarse_width + (pixel % width) // step
+def coarse_pixel(camera: Pinhole, step: int, p: wp.vec3):
+    """Index, in an image of every `step`-th pixel, for the pixel that shows point `p`."""
+    column, row = column_and_row(camera, p)
+    # A half away from whole multiples rounding does no harm; dividing integers takes far longer.
+    share = 1.0 / float(step)
+    u, v = int((column + 0.5) * share), int((row + 0.5) * share)
+    return v * ((camera.width + step - 1) // step) + u
 
 
 @wp.func
@@ -107,7 +118,9 @@ def score_configurations(
     early = wp.min(early_samples, n_samples)
     for span in range(2):
         start, end = wp.where(span == 0, 0, early), wp.where(span == 0, early, n_samples)
-        for i in range(start + lane, end, wp.block_dim()):
+        i = start + lane - wp.block_dim()
+        while i + wp.block_dim() < end:
+            i += wp.block_dim()
             T = T_camera_link[c * n_links + link[i]]
             p = wp.transform_point(T, points[i])
             n = wp.transform_vector(T, normals[i])
@@ -119,7 +132,7 @@ def score_configurations(
             if pixel < 0:
                 continue
             # What something else hides, or explains already, says nothing.
-            other = fixed_depth[coarse_pixel(view.camera.width, fixed_step, pixel)]
+            other = fixed_depth[coarse_pixel(view.camera, fixed_step, p)]
             if other > 0.0 and other < p[2] + rule.tolerance:
                 continue
             d = view.depth[pixel]
@@ -174,7 +187,10 @@ def link_support(
     sum[0] = wp.where(lane == 0, 1.0e-6, 0.0)
     stride = wp.max(1, (start[k + 1] - start[k]) // most)
     parts = k * fields.start.shape[0]
-    for i in range(start[k] + lane * stride, start[k + 1], wp.block_dim() * stride):
+    step = wp.block_dim() * stride
+    i = start[k] + lane * stride - step
+    while i + step < start[k + 1]:
+        i += step
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
         facing = -wp.dot(n, p) / wp.length(p)
@@ -187,7 +203,7 @@ def link_support(
         _distance, _gradient, other = nearest_body(
             fields, T_camera_link, 0, apart, parts, p, rule.tolerance
         )
-        coarse = coarse_pixel(view.camera.width, hand_step, pixel)
+        coarse = coarse_pixel(view.camera, hand_step, p)
         shown = hand_link[coarse]
         hidden = shown >= 0 and hand_depth[coarse] < p[2] + rule.tolerance
         at = int(1)
@@ -216,9 +232,11 @@ def sample_residual(view: DepthView, p: wp.vec3, n: wp.vec3, width: float):
     """Distance [m] of a posed surface sample to the plane of the reading on its ray, its weight,
     which is 0 where the image does not show the sample, and the pixel."""
     facing = -wp.dot(n, p) / wp.length(p)
+    if facing < 0.15:
+        return 0.0, 0.0, -1
     pixel = pixel_of(view.camera, p)
-    if facing < 0.15 or pixel < 0:
-        return 0.0, 0.0, pixel
+    if pixel < 0:
+        return 0.0, 0.0, -1
     d = view.depth[pixel]
     if d <= 0.0 or wp.abs(d - p[2]) > width:
         return 0.0, 0.0, pixel

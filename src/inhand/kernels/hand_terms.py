@@ -88,7 +88,9 @@ def add_scene_terms(problem: FitProblem, state: FitState, width: float, start: i
     links = problem.used.shape[0]
     c = wp.vec3(state.T_camera_hand[start][:3, 3])
     step = wp.block_dim() * problem.stride
-    for i in range(lane * problem.stride, problem.points.shape[0], step):
+    i = lane * problem.stride - step
+    while i + step < problem.points.shape[0]:
+        i += step
         p = problem.points[i]
         distance, gradient, k = nearest_body(
             problem.hand.fields, state.T_camera_link, start * links,
@@ -108,7 +110,9 @@ def add_hand_terms(problem: FitProblem, state: FitState, width: float, start: in
     hand, links = problem.hand, problem.used.shape[0]
     c = wp.vec3(state.T_camera_hand[start][:3, 3])
     step = wp.block_dim() * problem.stride
-    for i in range(lane * problem.stride, hand.points.shape[0], step):
+    i = lane * problem.stride - step
+    while i + step < hand.points.shape[0]:
+        i += step
         k = hand.link[i]
         if problem.used[k] == 0:
             continue

@@ -6,6 +6,7 @@ import itertools
 import math
 import os
 import pkgutil
+import struct
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -152,44 +153,35 @@ def prepare(
     return partial(_run, [whole.part(a, (b - a, *block)) for a, b in spans], threads, inputs)
 
 
-_first_commands: dict[Any, Any] = {}
+_known: dict[Any, "_HostLaunch | _DeviceLaunch"] = {}
 _loading = threading.Lock()
 
 
 def _command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
-    """As `wp.launch` records it; in a third of the time where it has seen arguments of these kinds.
+    """A launch that is ready to run.
 
-    A launch of a kernel takes Warp 37 us, most of it for finding out how to pass what is passed.
+    To prepare one takes Warp 37 us, most of it for finding out how to pass what is passed, so this
+    is kept of the first launch with arguments of the same kinds.
     """
-    block = block_size(device)
-    key = kernel, device, block, *map(_kind, inputs)
-    first = _first_commands.get(key)
-    if first is None:
+    key = kernel, device, block_size(device), *map(_kind, inputs)
+    known = _known.get(key)
+    if known is None:
         with _loading:  # two threads that load a module at once are left with one that is gone
-            first = _first_commands[key] = _checked_command(kernel, dims, inputs, device)
-    values = map(_packed, inputs, first.params[1:])
-    if device == "cpu" and block == 1:
-        return _HostCommand(first.hooks.forward, type(first.bounds)(dims), first.arguments(*values))
-    command = copy(first)
-    command.params = [first.bounds, *values]
-    if command.params_addr is not None:
-        command.params_addr = type(first.params_addr)(*map(ctypes.addressof, command.params))
-    command.set_dim(dims)
-    return command
+            first = _recorded(kernel, dims, inputs, device)
+        known = _HostLaunch(first, inputs) if device == "cpu" else _DeviceLaunch(first)
+        _known[key] = known
+    return known.command(dims, inputs)
 
 
-def _checked_command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
-    """The launch as Warp records it, with the type of a structure of its arguments."""
+def _recorded(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
+    """The launch as Warp records it, its arguments checked."""
     block = block_size(device)
     command = wp.launch(kernel, dims, inputs, device=device, record_cmd=True, block_dim=block)
     command.fwd_args = None  # these arrays need not live on
-    packed = command.params[1:]
-    for value, wanted in zip(packed, kernel.adj.args, strict=True):
+    for packed, wanted in zip(command.params[1:], kernel.adj.args, strict=True):
         # Of arrays that are NumPy's, Warp does not check this.
-        same = getattr(value, "ndim", 0) == getattr(wanted.type, "ndim", 0)
+        same = getattr(packed, "ndim", 0) == getattr(wanted.type, "ndim", 0)
         assert same, f"{kernel.key}: {wanted.label} has other dimensions"
-    fields = [(f"a{i}", type(value)) for i, value in enumerate(packed)]
-    command.arguments = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
     return command
 
 
@@ -200,34 +192,83 @@ def _kind(value: Any) -> Any:
     return (value.dtype, value.ndim) if isinstance(value, wp.array) else type(value)
 
 
-def _packed(value: Any, like: Any) -> Any:
-    """An argument as a kernel takes it, of the type of one that was packed before."""
-    if isinstance(value, np.ndarray):
-        packed = type(like).from_buffer_copy(like)
-        packed.data = value.__array_interface__["data"][0]
-        packed.shape[0] = len(value)
-        return packed
+class _DeviceLaunch:
+    """How a kernel is launched on a GPU with arguments of certain kinds."""
+
+    def __init__(self, first: Any) -> None:
+        self._first = first
+
+    def command(self, dims: tuple[int, ...], inputs: Sequence[Any]) -> Any:
+        command = copy(self._first)
+        values = map(_as_c, inputs, map(type, self._first.params[1:]))
+        command.params = [self._first.bounds, *values]
+        addresses = map(ctypes.addressof, command.params)
+        command.params_addr = type(self._first.params_addr)(*addresses)
+        command.set_dim(dims)
+        return command
+
+
+class _HostLaunch:
+    """How a kernel is launched on the CPU with arguments of certain kinds.
+
+    What Warp calls takes the addresses of the launch's bounds and of one structure of all
+    arguments. To fill that by `struct` takes a fraction of what it takes by `ctypes`.
+    """
+
+    def __init__(self, first: Any, inputs: Sequence[Any]) -> None:
+        takes_bytes = ctypes.CFUNCTYPE(None, ctypes.c_char_p, ctypes.c_char_p)
+        self._function = ctypes.cast(first.hooks.forward, takes_bytes)
+        layouts = map(_layout_in_memory, inputs, first.params[1:])
+        formats, self._values = zip(*layouts, strict=True)
+        self._pack = struct.Struct("".join(formats)).pack
+
+    def command(self, dims: tuple[int, ...], inputs: Sequence[Any]) -> "_HostCommand":
+        pairs = zip(self._values, inputs, strict=True)
+        packed = self._pack(*[value for values, given in pairs for value in values(given)])
+        return _HostCommand(self._function, dims, packed)
+
+
+def _layout_in_memory(given: Any, packed: Any) -> tuple[str, Callable[[Any], tuple[Any, ...]]]:
+    """For arguments of the kind of one that Warp has packed: format and values for `struct`."""
+    kind, size = type(packed), ctypes.sizeof(packed)
+    if isinstance(packed, ctypes._SimpleCData):
+        return kind._type_, lambda number: (number,)
+    aligned = {1: "0b", 2: "0h", 4: "0i", 8: "0q"}[ctypes.alignment(kind)]
+    if not isinstance(given, np.ndarray):
+        return f"{aligned}{size}s", lambda value: (bytes(_as_c(value, kind)),)
+    # Arrays of a kind differ in their address, which comes first, and in their length.
+    before, length = bytes(packed)[8 : kind.shape.offset], kind.shape.offset
+    after = bytes(packed)[length + 4 :]
+    return (
+        f"{aligned}Q{len(before)}si{len(after)}s",
+        lambda array: (array.ctypes.data, before, len(array), after),
+    )
+
+
+def _as_c(value: Any, kind: Any) -> Any:
+    """An argument that is no NumPy array as the `ctypes` object that a kernel takes."""
     if hasattr(value, "__ctype__"):
         return value.__ctype__()
-    return value if isinstance(value, type(like)) else type(like)(value)
+    return value if isinstance(value, kind) else kind(value)
 
 
 @dataclass(slots=True)
 class _HostCommand:
-    """A launch on the CPU: what Warp calls in the end, without what it looks up before each."""
+    """A launch on the CPU."""
 
-    function: Callable[[Any, Any], None]
-    bounds: Any
-    arguments: Any
+    function: Callable[[bytes, bytes], None]
+    dims: tuple[int, ...]
+    arguments: bytes
 
     def launch(self) -> None:
-        self.function(ctypes.byref(self.bounds), ctypes.byref(self.arguments))
+        # `launch_bounds_t` of Warp: sizes, number of items, and of threads that share coordinates.
+        bounds = struct.pack(f"{len(self.dims)}INN", *self.dims, math.prod(self.dims), 1)
+        self.function(bounds, self.arguments)
 
     def part(self, first: int, dims: tuple[int, ...]) -> "_HostCommand":
         """As many of the work items from `first` on; packing them anew takes longer."""
-        arguments = type(self.arguments).from_buffer_copy(self.arguments)
-        setattr(arguments, arguments._fields_[-1][0], first)
-        return _HostCommand(self.function, type(self.bounds)(dims), arguments)
+        arguments = self.arguments[:-4] + struct.pack("i", first)
+        return _HostCommand(self.function, dims, arguments)
 
 
 @dataclass(slots=True)
@@ -332,7 +373,7 @@ def pack(struct: Any, device: str, **values: Any) -> Any:
     for name, kind in get_type_hints(struct.cls).items():
         value = values[name]
         if isinstance(kind, wp.array):
-            value = wp.array(value, dtype=kind.dtype, device=device)
+            value = in_struct(value, kind.dtype, device)
         setattr(filled, name, value)
     return filled
 

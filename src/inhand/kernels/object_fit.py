@@ -40,9 +40,9 @@ class ObjectEvidence:
 
 
 @wp.func
-def hand_depth_at(e: ObjectEvidence, pixel: int):
-    """Rendered depth [m] of the hand at a pixel of the region of interest, 0 where it is not."""
-    return e.hand_depth[coarse_pixel(e.view.camera.width, e.hand_step, pixel)]
+def hand_depth_at(e: ObjectEvidence, p: wp.vec3):
+    """Rendered depth [m] of the hand at the pixel that shows point `p`, 0 where it is not."""
+    return e.hand_depth[coarse_pixel(e.view.camera, e.hand_step, p)]
 
 
 @wp.func
@@ -57,7 +57,9 @@ def visible_score(
 ):
     """Sum of the judgements of the camera-facing surface samples, per expected visible sample."""
     total = float(0.0)
-    for i in range(lane, n_points, wp.block_dim()):
+    i = lane - wp.block_dim()
+    while i + wp.block_dim() < n_points:
+        i += wp.block_dim()
         p = wp.transform_point(T, points[i])
         n = wp.transform_vector(T, normals[i])
         facing = -wp.dot(n, p)
@@ -67,7 +69,7 @@ def visible_score(
         pixel = pixel_of(e.view.camera, p)
         if pixel < 0:
             continue
-        hand = hand_depth_at(e, pixel)
+        hand = hand_depth_at(e, p)
         if hand > 0.0 and hand < p[2] - rule.tolerance:
             continue
         total += facing * judge_point(e.view, rule, p, n, pixel)
@@ -92,7 +94,10 @@ def explained_share(
     """
     explained = float(0.0)
     missed = float(0.0)
-    for i in range(lane * stride, e.points.shape[0], wp.block_dim() * stride):
+    step = wp.block_dim() * stride
+    i = lane * stride - step
+    while i + step < e.points.shape[0]:
+        i += step
         if missed > (1.0 - least) * total:
             break
         w = e.weights[i]
@@ -157,7 +162,7 @@ def visible_residual(e: ObjectEvidence, p: wp.vec3, n: wp.vec3, width: float):
     """`sample_residual` of the object; the weight is 0 where the image shows the hand as well."""
     r, w, pixel = sample_residual(e.view, p, n, width)
     if w > 0.0:
-        hand = hand_depth_at(e, pixel)
+        hand = hand_depth_at(e, p)
         if hand > 0.0 and wp.abs(hand - e.view.depth[pixel]) < 0.5 * e.near:
             w = 0.0
     return r, w
@@ -214,13 +219,16 @@ def refine_poses(
     item, lane = wp.tid()
     i = first + item
     T = T_start[i]
+    step = wp.block_dim() * segment_stride
     width = first_width
     shrink = wp.pow(last_width / first_width, 1.0 / wp.max(1.0, float(iterations - 1)))
     for _iteration in range(iterations):
         A = Matrix6()
         b = Vector6()
         pivot = wp.transform_point(T, centre)
-        for s in range(lane * segment_stride, e.points.shape[0], wp.block_dim() * segment_stride):
+        s = lane * segment_stride - step
+        while s + step < e.points.shape[0]:
+            s += step
             p = e.points[s]
             value = field_at(fields, 0, to_local(T, p))
             w = e.weights[s] * redescending(value[0], width)
@@ -234,7 +242,9 @@ def refine_poses(
             A += wp.outer(w * row, row)
             b += w * value[0] * row
         if image_weight > 0.0:
-            for s in range(lane, n_points, wp.block_dim()):
+            s = lane - wp.block_dim()
+            while s + wp.block_dim() < n_points:
+                s += wp.block_dim()
                 p = wp.transform_point(T, points[s])
                 n = wp.transform_vector(T, normals[s])
                 r, w = visible_residual(e, p, n, width)

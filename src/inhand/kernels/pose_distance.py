@@ -30,7 +30,9 @@ def distance_between(surface: Surface, T_a: wp.mat44, T_b: wp.mat44, farthest: f
         return farthest
     n_points = surface.points.shape[0]
     total = float(0.0)
-    for s in range(n_points):
+    s = int(-1)
+    while s + 1 < n_points:
+        s += 1
         p = wp.transform_point(T_a, surface.points[s])
         total += wp.abs(field_at(surface.fields, 0, to_local(T_b, p))[0])
         if total > limit * float(n_points):
@@ -80,7 +82,9 @@ def compare_poses(
     i = first + item
     own = T[begin + i]
     farthest = wp.max(3.0 * near, 0.001)
-    for k in range(lane, n_chosen + i, wp.block_dim()):
+    k = lane - wp.block_dim()
+    while k + wp.block_dim() < n_chosen + i:
+        k += wp.block_dim()
         if distance_between(surface, own, T[others[k]], farthest, near) <= near:
             alike[i, k] = 1
             if k < n_chosen:
