@@ -58,10 +58,10 @@ def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     chance = random.Random(0)
     slices: list[int] = []
 
-    def run(commands: Sequence[Any], _threads: int, _inputs: Sequence[Any]) -> None:
-        slices.append(len(commands))
-        for command in chance.sample(commands, len(commands)):
-            command.launch()
+    def run(parts: list[seam.Slice], _threads: int, _inputs: Sequence[Any]) -> None:
+        slices.append(len(parts))
+        for part in chance.sample(parts, len(parts)):
+            part()
 
     create: Callable[..., None] = wp.array.__init__
     read: Callable[[Any], NDArray[Any]] = wp.array.numpy

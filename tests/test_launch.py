@@ -1,5 +1,4 @@
 import gc
-import math
 import os
 import re
 import subprocess
@@ -8,6 +7,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,17 +53,28 @@ def test_every_item_runs_exactly_once(dim: int, work_per_item: int) -> None:
 
 @pytest.fixture
 def launches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Sizes of the launches that are run, on a machine of three cores."""
+    """Sizes of the slices of launches that are run, on a machine of three cores."""
     sizes: list[int] = []
-    run = seam._HostCommand.launch
+    slices = seam._HostLaunch.slices
 
-    def record(command: Any) -> None:
-        sizes.append(math.prod(command.dims))
-        run(command)
+    def run(size: int, part: seam.Slice) -> None:
+        sizes.append(size)
+        part()
 
-    monkeypatch.setattr(seam._HostCommand, "launch", record)
+    def recorded(known: Any, ends: list[int], *how: Any) -> list[seam.Slice]:
+        parts = zip(np.diff(ends).tolist(), slices(known, ends, *how), strict=True)
+        return [partial(run, size, part) for size, part in parts]
+
+    monkeypatch.setattr(seam._HostLaunch, "slices", recorded)
     monkeypatch.setattr(seam, "cpu_count", lambda: 3)
     return sizes
+
+
+def run_in_slices(part: seam.Slice, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Launches run `part` in place of every slice from now on."""
+    monkeypatch.setattr(
+        seam._HostLaunch, "slices", lambda _known, ends, *_how: [part] * (len(ends) - 1)
+    )
 
 
 @pytest.mark.parametrize("dim", [1, 2, 11, 12, 13, 1000])
@@ -134,7 +145,7 @@ def test_no_slice_runs_on_when_a_launch_is_interrupted(
     caller, another_began = threading.current_thread(), threading.Event()
     ended: list[float] = []
 
-    def slow(_command: Any) -> None:
+    def slow() -> None:
         if threading.current_thread() is caller:
             assert another_began.wait(60)
             raise KeyboardInterrupt
@@ -142,7 +153,7 @@ def test_no_slice_runs_on_when_a_launch_is_interrupted(
         time.sleep(0.05)
         ended.append(time.monotonic())
 
-    monkeypatch.setattr(seam._HostCommand, "launch", slow)
+    run_in_slices(slow, monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         indices(1000, 1000, LONG)
     interrupted = time.monotonic()
@@ -174,14 +185,14 @@ def test_errors_in_another_thread_reach_the_caller_each_time(
 ) -> None:
     caller, failed = threading.current_thread(), threading.Event()
 
-    def fail(_command: Any) -> None:
+    def fail() -> None:
         if threading.current_thread() is caller:
             assert failed.wait(60)
         else:
             failed.set()
             raise OSError("no such slice")
 
-    monkeypatch.setattr(seam._HostCommand, "launch", fail)
+    run_in_slices(fail, monkeypatch)
     for _ in range(seam.cpu_count() + 1):
         failed.clear()
         with pytest.raises(OSError, match="no such slice"):

@@ -42,7 +42,10 @@ def link_clearances(
         offset = points[k] - centre
         bound = s[3] + wp.max(nearest, 0.0)
         if wp.dot(offset, offset) < bound * bound:
-            nearest = wp.min(nearest, field_at(fields, link, wp.transform_point(T, points[k]))[0])
+            local = wp.transform_point(T, points[k])
+            outside = wp.max(fields.low[link] - local, local - fields.high[link])
+            if wp.max(outside) < wp.max(nearest, 0.0):
+                nearest = wp.min(nearest, field_at(fields, link, local)[0])
     clearance[i] = nearest
 
 
@@ -74,15 +77,13 @@ def configuration_clearances(
     i = first + wp.tid()
     T = T_camera_object[i // n_configurations]
     links = (i % n_configurations) * n_links
-    middle = 0.5 * (fields.low[0] + fields.high[0])
-    radius = wp.length(fields.high[0] - middle)
     nearest = farthest
     k = int(-1)
     while k + 1 < n_points:
         k += 1
         p = wp.transform_point(T_camera_link[links + link[k]], points[k])
         local = to_local(T, p)
-        bound = radius + wp.max(nearest, 0.0)
-        if wp.length_sq(local - middle) < bound * bound:
+        outside = wp.max(fields.low[0] - local, local - fields.high[0])
+        if wp.max(outside) < wp.max(nearest, 0.0):
             nearest = wp.min(nearest, field_at(fields, 0, local)[0])
     clearance[i] = nearest

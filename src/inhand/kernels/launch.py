@@ -25,6 +25,9 @@ from numpy.typing import NDArray
 import inhand.kernels
 from inhand.errors import InputError
 
+Slice = Callable[[], None]
+"""A part of a launch that is ready to run."""
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -36,6 +39,8 @@ SLICES_PER_THREAD = 4
 
 # Threads that have an item each: more of them wait for Python's interpreter lock, and take longer.
 MOST_ITEM_THREADS = 8
+
+INT, BOUNDS, BOUNDS_OF_BLOCKS = (struct.Struct(members).pack for members in ("i", "INN", "2INN"))
 
 # Threads of a block.
 CPU_BLOCK, GPU_BLOCK = 1, 128
@@ -143,25 +148,25 @@ def prepare(
         best = math.isqrt(dim * work_per_item // HANDOVER_OPERATIONS)
         threads = max(1, min(dim, cpu_count(), best))
     block = (block_size(device),) if shared else ()
-    whole = _command(kernel, (dim, *block), [*inputs, 0], device)
+    known = _known_launch(kernel, (dim, *block), [*inputs, 0], device)
     assert kernel.adj.kernel_dim == 1 + shared, f"{kernel.key}: `shared` does not fit its wp.tid()"
-    # Commands hold the addresses of the arrays in `inputs`, which must live as long.
-    if threads == 1:
-        return partial(_run, [whole], 1, inputs)
-    slices = min(dim, SLICES_PER_THREAD * threads)
-    spans = itertools.pairwise(dim * i // slices for i in range(slices + 1))
-    return partial(_run, [whole.part(a, (b - a, *block)) for a, b in spans], threads, inputs)
+    slices = min(dim, SLICES_PER_THREAD * threads) if threads > 1 else 1
+    ends = [dim * i // slices for i in range(slices + 1)]
+    # What runs holds the addresses of the arrays in `inputs`, which must live as long.
+    return partial(_run, known.slices(ends, block, inputs), threads, inputs)
 
 
 _known: dict[Any, "_HostLaunch | _DeviceLaunch"] = {}
 _loading = threading.Lock()
 
 
-def _command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
-    """A launch that is ready to run.
+def _known_launch(
+    kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: str
+) -> "_HostLaunch | _DeviceLaunch":
+    """How a kernel is launched with arguments of the kinds of these.
 
-    To prepare one takes Warp 37 us, most of it for finding out how to pass what is passed, so this
-    is kept of the first launch with arguments of the same kinds.
+    To prepare a launch takes Warp 37 us, most of it for finding out how to pass what is passed, so
+    this is kept of the first.
     """
     key = kernel, device, block_size(device), *map(_kind, inputs)
     known = _known.get(key)
@@ -170,11 +175,11 @@ def _command(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: 
             first = _recorded(kernel, dims, inputs, device)
         known = _HostLaunch(first, inputs) if device == "cpu" else _DeviceLaunch(first)
         _known[key] = known
-    return known.command(dims, inputs)
+    return known
 
 
 def _recorded(kernel: Any, dims: tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
-    """The launch as Warp records it, its arguments checked."""
+    """A launch as Warp records it, its arguments checked."""
     block = block_size(device)
     command = wp.launch(kernel, dims, inputs, device=device, record_cmd=True, block_dim=block)
     command.fwd_args = None  # these arrays need not live on
@@ -198,34 +203,45 @@ class _DeviceLaunch:
     def __init__(self, first: Any) -> None:
         self._first = first
 
-    def command(self, dims: tuple[int, ...], inputs: Sequence[Any]) -> Any:
+    def slices(self, ends: list[int], block: tuple[int, ...], inputs: Sequence[Any]) -> list[Slice]:
+        """The one slice that there is."""
         command = copy(self._first)
-        values = map(_as_c, inputs, map(type, self._first.params[1:]))
+        values = map(_as_c, [*inputs, 0], map(type, self._first.params[1:]))
         command.params = [self._first.bounds, *values]
         addresses = map(ctypes.addressof, command.params)
         command.params_addr = type(self._first.params_addr)(*addresses)
-        command.set_dim(dims)
-        return command
+        command.set_dim((ends[-1], *block))
+        return [command.launch]
 
 
 class _HostLaunch:
     """How a kernel is launched on the CPU with arguments of certain kinds.
 
     What Warp calls takes the addresses of the launch's bounds and of one structure of all
-    arguments. To fill that by `struct` takes a fraction of what it takes by `ctypes`.
+    arguments. To fill these by `struct` takes a fraction of what it takes by `ctypes`.
     """
 
     def __init__(self, first: Any, inputs: Sequence[Any]) -> None:
         takes_bytes = ctypes.CFUNCTYPE(None, ctypes.c_char_p, ctypes.c_char_p)
         self._function = ctypes.cast(first.hooks.forward, takes_bytes)
-        layouts = map(_layout_in_memory, inputs, first.params[1:])
+        *layouts, _first = map(_layout_in_memory, inputs, first.params[1:])
         formats, self._values = zip(*layouts, strict=True)
-        self._pack = struct.Struct("".join(formats)).pack
+        self._pack = struct.Struct("".join(formats) + "0i").pack
 
-    def command(self, dims: tuple[int, ...], inputs: Sequence[Any]) -> "_HostCommand":
+    def slices(self, ends: list[int], block: tuple[int, ...], inputs: Sequence[Any]) -> list[Slice]:
+        """Launches of the work items between each two of `ends`."""
         pairs = zip(self._values, inputs, strict=True)
         packed = self._pack(*[value for values, given in pairs for value in values(given)])
-        return _HostCommand(self._function, dims, packed)
+        # Warp's `launch_bounds_t`: sizes, number of items, and of threads that share coordinates.
+        bounds, threads = (BOUNDS_OF_BLOCKS if block else BOUNDS), math.prod(block)
+        return [
+            partial(
+                self._function,
+                bounds(end - first, *block, (end - first) * threads, 1),
+                packed + INT(first),
+            )
+            for first, end in itertools.pairwise(ends)
+        ]
 
 
 def _layout_in_memory(given: Any, packed: Any) -> tuple[str, Callable[[Any], tuple[Any, ...]]]:
@@ -253,29 +269,10 @@ def _as_c(value: Any, kind: Any) -> Any:
 
 
 @dataclass(slots=True)
-class _HostCommand:
-    """A launch on the CPU."""
-
-    function: Callable[[bytes, bytes], None]
-    dims: tuple[int, ...]
-    arguments: bytes
-
-    def launch(self) -> None:
-        # `launch_bounds_t` of Warp: sizes, number of items, and of threads that share coordinates.
-        bounds = struct.pack(f"{len(self.dims)}INN", *self.dims, math.prod(self.dims), 1)
-        self.function(bounds, self.arguments)
-
-    def part(self, first: int, dims: tuple[int, ...]) -> "_HostCommand":
-        """As many of the work items from `first` on; packing them anew takes longer."""
-        arguments = self.arguments[:-4] + struct.pack("i", first)
-        return _HostCommand(self.function, dims, arguments)
-
-
-@dataclass(slots=True)
 class _Helper:
     """What another thread runs of a launch, if it finds the time before all is begun."""
 
-    left: deque[Any]
+    left: deque[Slice]
     inputs: Sequence[Any]  # live as long as this
     working: threading.Lock = field(default_factory=threading.Lock)
     error: Exception | None = None
@@ -299,9 +296,9 @@ def _help(wanted: "SimpleQueue[_Helper]") -> None:
         wanted.get().run()
 
 
-def _run(commands: Sequence[Any], threads: int, inputs: Sequence[Any]) -> None:
-    """Run commands that may run at the same time, on this thread and others."""
-    left = deque(commands)
+def _run(slices: list[Slice], threads: int, inputs: Sequence[Any]) -> None:
+    """Run slices, which may run at the same time, on this thread and others."""
+    left = deque(slices)
     helpers = [_Helper(left, inputs) for _ in range(threads - 1)]
     for helper in helpers:
         _idle_threads().put(helper)
@@ -313,11 +310,11 @@ def _run(commands: Sequence[Any], threads: int, inputs: Sequence[Any]) -> None:
             helper.join()
 
 
-def _drain(left: deque[Any]) -> None:
-    """Run the commands that no thread has begun."""
+def _drain(left: deque[Slice]) -> None:
+    """Run the slices that no thread has begun."""
     with suppress(IndexError):  # none is left
         while True:
-            left.pop().launch()
+            left.pop()()
 
 
 def empty(shape: tuple[int, ...], dtype: Any, device: str) -> Any:
