@@ -23,13 +23,13 @@ def check_rigid(T: Any, name: str) -> Array:
         raise InputError(f"{name} must be a 4x4 homogeneous matrix, got shape {matrix.shape}")
     if not np.isfinite(matrix).all():
         raise InputError(f"{name} holds NaN or infinite numbers")
-    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-5:
         raise InputError(
             f"{name}: the last row must be 0 0 0 1, got {matrix[3].tolist()}; "
             "a transposed matrix has its translation there"
         )
     rotation = matrix[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
         raise InputError(
             f"{name}: the upper-left 3x3 is not a rotation (its rows are not orthonormal); "
             "remove scale and shear"

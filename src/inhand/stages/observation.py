@@ -115,8 +115,8 @@ def observe(
     u0, v0, u1, v1 = _window(camera, centre, radius)
     roi = camera.crop(u0, v0, u1 - u0, v1 - v0)
     near, far = max(centre[2] - radius, NEAREST), centre[2] + radius
-    window = depth[v0:v1, u0:u1]
-    window = np.where((window >= NEAREST) & (window < np.inf), window, np.float32(0))
+    window = depth[v0:v1, u0:u1].copy()
+    window[~((window >= NEAREST) & (window < np.inf))] = 0
     # A reading behind the region of interest still proves free space: it is kept as an image.
     inside = (window > near) & (window < far)
     if (count := np.count_nonzero(inside)) < config.min_points:
