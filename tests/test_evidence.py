@@ -7,6 +7,7 @@ from held_object import HeldObject, distance_to_hand, held_object
 
 from inhand.config import ClusteringConfig, EvidenceConfig
 from inhand.geometry.se3 import exp, transform
+from inhand.kernels.launch import on_host
 from inhand.packed import device_poses
 from inhand.stages.evidence import (
     Evidence,
@@ -184,7 +185,7 @@ def test_links_without_support_do_not_hide_the_object() -> None:
     assert (without > 0).sum() < (with_links > 0).sum()
     others = np.ones(len(scene.hand.hand.links), dtype=bool)
     others[list(links)] = False
-    expected = scene.hand.render(camera, scene.hand_state.T_camera_link, others).numpy()
+    expected = on_host(scene.hand.render(camera, scene.hand_state.T_camera_link, others))
     np.testing.assert_array_equal(without, expected)
 
 

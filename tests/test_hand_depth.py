@@ -8,6 +8,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from inhand.camera import Camera
 from inhand.geometry.se3 import exp, random_rotation
 from inhand.kernels.depth import DepthRenderer
+from inhand.kernels.launch import on_host
 
 CAMERA = Camera(fx=260, fy=240, cx=80.3, cy=57.8, width=161, height=117)
 
@@ -29,7 +30,7 @@ def ray_cast(T_camera_link: np.ndarray, shown: np.ndarray) -> np.ndarray:
 
 def traced(T_camera_link: np.ndarray, shown: np.ndarray) -> np.ndarray:
     depth = built_in_hand().render(CAMERA, T_camera_link, shown)
-    return np.asarray(depth.numpy().reshape(CAMERA.height, CAMERA.width))
+    return on_host(depth).reshape(CAMERA.height, CAMERA.width)
 
 
 @given(st.integers(0, 10_000), st.sampled_from([0.3, 0.6, 1.2]))

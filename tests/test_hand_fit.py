@@ -12,7 +12,7 @@ from inhand.camera import Camera
 from inhand.config import HandStateConfig
 from inhand.geometry.se3 import exp
 from inhand.kernels.hand_fit import Visibility, score_configurations
-from inhand.kernels.launch import computed
+from inhand.kernels.launch import computed, on_host
 from inhand.packed import device_poses
 
 SMALL = Camera(fx=100, fy=100, cx=20, cy=15, width=41, height=31)
@@ -207,7 +207,7 @@ def test_scores_of_fingers_are_those_of_brute_force() -> None:
             work_per_item=samples,
             shared=True,
         )
-        image = fixed.numpy().reshape(camera.height, camera.width)
+        image = on_host(fixed).reshape(camera.height, camera.width)
         expected = np.array([brute_force(scene, k, T, image) for T in poses])
         # A point may lie on a threshold.
         np.testing.assert_allclose(scores[:, 0], expected[:, 0], atol=0.02)

@@ -17,7 +17,7 @@ from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.hand_fit import hand_distances
 from inhand.kernels.hand_terms import FittedHand
 from inhand.kernels.kinematics import Chain, pose_links
-from inhand.kernels.launch import computed, empty, launch, on_device, pack
+from inhand.kernels.launch import computed, copied, empty, filled, launch, on_device, pack
 from inhand.kernels.pair_matching import PairTable
 from inhand.kernels.pose_distance import Surface
 from inhand.object_model import ObjectModel
@@ -138,9 +138,9 @@ class PackedHand:
             link: in and out, if given: the link that every pixel shows, int.
         """
         if others is None:
-            depth = wp.zeros(camera.width * camera.height, dtype=float, device=self.device)
+            depth = filled((camera.width * camera.height,), 0.0, float, self.device)
         else:
-            depth = wp.clone(others)
+            depth = copied(others)
         windows = _windows(camera, T_camera_link, self.corners)
         windows[~shown] = 0
         if not shown.any():

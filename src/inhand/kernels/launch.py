@@ -326,6 +326,19 @@ def empty(shape: tuple[int, ...], dtype: Any, device: str) -> Any:
     return np.empty(shape + of_value, scalar)
 
 
+def filled(shape: tuple[int, ...], value: Any, dtype: Any, device: str) -> Any:
+    """As `empty`, with a value everywhere."""
+    array = empty(shape, dtype, device)
+    fill = array.fill if isinstance(array, np.ndarray) else array.fill_
+    fill(value)
+    return array
+
+
+def copied(array: Any) -> Any:
+    """A copy of an array that is on a device."""
+    return array.copy() if isinstance(array, np.ndarray) else wp.clone(array)
+
+
 def on_device(values: Any, dtype: Any, device: str) -> Any:
     """A NumPy array, (n, *shape of a `dtype`), for a launch; on a CPU it sees the array's own
     memory, and writes there what it writes."""
@@ -336,7 +349,8 @@ def on_device(values: Any, dtype: Any, device: str) -> Any:
 
 def in_struct(values: Any, dtype: Any, device: str) -> Any:
     """As `on_device`, for a member of a Warp struct."""
-    return wp.array(values, dtype=dtype, device=device, copy=False)
+    is_there = isinstance(values, wp.array)
+    return values if is_there else wp.array(values, dtype=dtype, device=device, copy=False)
 
 
 def assign(array: Any, values: NDArray[Any]) -> None:

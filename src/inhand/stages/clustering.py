@@ -7,7 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from inhand.config import ClusteringConfig
-from inhand.kernels.launch import computed, launch, on_device
+from inhand.kernels.launch import computed, filled, launch, on_device, on_host
 from inhand.kernels.pose_distance import compare_poses, surface_distances
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.evidence import Evidence, score_with_contact
@@ -47,13 +47,13 @@ def distinct_poses(poses: PoseSet, obj: PackedObject, distance: float, keep: int
             break
         block = np.arange(begin, min(begin + BLOCK, len(ranked)), dtype=np.int32)
         others = np.concatenate([chosen, block])
-        alike = wp.zeros((len(block), len(others)), dtype=int, device=obj.device)
+        alike = filled((len(block), len(others)), 0, int, obj.device)
         others_there = on_device(others, int, obj.device)
         inputs = [obj.surface, T, others_there, len(chosen), begin, distance, alike]
         work = 30 * len(others)
         launch(compare_poses, len(block), inputs, obj.device, work_per_item=work, shared=True)
-        same = alike.numpy() > 0
-        fresh = ~same[:, : len(chosen)].any(axis=1)
+        same = on_host(alike).astype(bool)
+        fresh = ~np.any(same[:, : len(chosen)], axis=1)
         for i, others_like_it in enumerate(same[:, len(chosen) :].T):
             if fresh[i]:
                 fresh &= ~others_like_it

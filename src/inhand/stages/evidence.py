@@ -67,7 +67,8 @@ def gather_evidence(
     e = ObjectEvidence()
     e.view = observation.view
     # What the image does not support must not explain it.
-    e.hand_depth = hand.render(coarse, hand_state.T_camera_link, hand_state.certain)
+    depth = hand.render(coarse, hand_state.T_camera_link, hand_state.certain)
+    e.hand_depth = in_struct(depth, float, device)
     e.hand_step = config.hand_step
     # A fixed shuffle makes every strided subset an even sample of the segment.
     order = np.random.default_rng(0).permutation(len(segment.points))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from inhand.config import EvidenceConfig, HandStateConfig
 from inhand.kernels.hand_fit import SupportSums, Visibility, link_support, score_configurations
-from inhand.kernels.launch import computed, on_device, pack
+from inhand.kernels.launch import computed, filled, on_device, pack
 from inhand.packed import PackedHand, PackedPart, device_poses
 from inhand.stages.observation import Observation
 
@@ -95,7 +95,7 @@ def hand_support(
     rule = visibility_rule(config, max(config.fine_tolerance, noise))
     start = on_device(hand.point_start, int, device)
     coarse = observation.camera.subsampled(config.render_step)
-    shown = wp.full(coarse.width * coarse.height, -1, dtype=int, device=device)
+    shown = filled((coarse.width * coarse.height,), -1, int, device)
     depth = hand.render(coarse, T_camera_link, np.ones(count, dtype=bool), link=shown)
     inputs = [observation.view, rule, device_poses(T_camera_link, device), hand.points]
     inputs += [hand.normals, start, config.fine_points, hand.fields, hand.apart]
