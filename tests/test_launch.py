@@ -168,6 +168,28 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
     assert subprocess.run(script, cwd=Path(__file__).parent).returncode == 0
 
 
+UNLOADED = """
+import gc
+
+import numpy as np
+from probe_kernels import write_index
+
+from inhand.kernels.launch import launch
+
+for _ in range(2):
+    out = np.zeros(9, np.int32)
+    launch(write_index, 9, [out], "cpu")
+    assert (out == np.arange(1, 10)).all()
+    write_index.module.unload()
+    gc.collect()
+"""
+
+
+def test_kernels_run_after_warp_has_unloaded_their_module() -> None:
+    script = [sys.executable, "-W", "ignore", "-c", UNLOADED]
+    assert subprocess.run(script, cwd=Path(__file__).parent).returncode == 0
+
+
 def test_nothing_to_do_is_no_launch(launches: list[int]) -> None:
     for dim in (0, -1):
         np.testing.assert_array_equal(indices(dim, 3, LONG), 0)

@@ -144,6 +144,8 @@ def test_lists_and_other_number_types_are_taken() -> None:
 
 SCALED, MIRRORED, SHEARED = (np.diag([2.0, 2, 2, 1]), np.diag([1.0, -1, 1, 1]), np.eye(4))
 SHEARED[0, 1] = 0.3
+HUGE = np.eye(4)
+HUGE[:2, :2] = [[1e200, 1e200], [1e200, -1e200]]
 WITH_NAN = np.eye(4)
 WITH_NAN[0, 3] = np.nan
 
@@ -157,6 +159,7 @@ WITH_NAN[0, 3] = np.nan
         (se3.exp(np.array([0, 0, 0, 1.0, 2, 3])).T, "transposed"),
         (SCALED, "remove scale"),
         (SHEARED, "remove scale and shear"),
+        (HUGE, "remove scale"),
         (MIRRORED, "mirror"),
         ("identity", "4x4 matrix of numbers"),
     ],

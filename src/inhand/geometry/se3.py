@@ -23,13 +23,15 @@ def check_rigid(T: Any, name: str) -> Array:
         raise InputError(f"{name} must be a 4x4 homogeneous matrix, got shape {matrix.shape}")
     if not np.isfinite(matrix).all():
         raise InputError(f"{name} holds NaN or infinite numbers")
-    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-5:
+    if not (np.abs(matrix[3] - [0, 0, 0, 1]) <= 1e-5).all():
         raise InputError(
             f"{name}: the last row must be 0 0 0 1, got {matrix[3].tolist()}; "
             "a transposed matrix has its translation there"
         )
     rotation = matrix[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
+    with np.errstate(over="ignore", invalid="ignore"):
+        skewed = np.abs(rotation @ rotation.T - np.eye(3))
+    if not (skewed <= 1e-3).all():  # so that NaN, of numbers that are too large, is refused
         raise InputError(
             f"{name}: the upper-left 3x3 is not a rotation (its rows are not orthonormal); "
             "remove scale and shear"

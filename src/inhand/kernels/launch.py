@@ -224,6 +224,7 @@ class _HostLaunch:
     def __init__(self, first: Any, inputs: Sequence[Any]) -> None:
         takes_bytes = ctypes.CFUNCTYPE(None, ctypes.c_char_p, ctypes.c_char_p)
         self._function = ctypes.cast(first.hooks.forward, takes_bytes)
+        self._module = first.module_exec  # what is loaded lives as long as this
         *layouts, _first = map(_layout_in_memory, inputs, first.params[1:])
         formats, self._values = zip(*layouts, strict=True)
         self._pack = struct.Struct("".join(formats) + "0i").pack
