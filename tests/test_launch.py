@@ -1,3 +1,4 @@
+import ctypes
 import gc
 import os
 import re
@@ -289,6 +290,22 @@ def test_arguments_live_no_longer_than_the_launch(monkeypatch: pytest.MonkeyPatc
     del run
     gc.collect()
     assert alive() is None
+
+
+def test_launches_as_a_gpu_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    def with_addresses(first: Any, _inputs: Any) -> seam._DeviceLaunch:
+        first.params_addr = (ctypes.c_void_p * len(first.params))()
+        return seam._DeviceLaunch(first)
+
+    monkeypatch.setattr(seam, "_known", {})
+    monkeypatch.setattr(seam, "_HostLaunch", with_addresses)
+    for dim in (3, 7):
+        np.testing.assert_array_equal(indices(dim, 9, 1), [*range(1, dim + 1), *[0] * (9 - dim)])
+    (known,) = seam._known.values()
+    out = wp.zeros(5, dtype=int, device="cpu")
+    (run,) = known.slices([0, 5], (), [out])
+    command = run.__self__  # type: ignore[attr-defined]
+    assert list(command.params_addr) == [ctypes.addressof(p) for p in command.params]
 
 
 def test_all_kernel_modules_are_loaded() -> None:
