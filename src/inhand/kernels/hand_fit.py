@@ -230,7 +230,7 @@ def redescending(r: float, width: float):
 @wp.func
 def sample_residual(view: DepthView, p: wp.vec3, n: wp.vec3, width: float):
     """Distance [m] of a posed surface sample to the plane of the reading on its ray, its weight,
-    which is 0 where the image does not show the sample, and the pixel."""
+    which is 0 where the image does not show the sample, and the pixel, -1 if it cannot."""
     facing = -wp.dot(n, p) / wp.length(p)
     if facing < 0.15:
         return 0.0, 0.0, -1

@@ -40,6 +40,7 @@ SLICES_PER_THREAD = 4
 # Threads that have an item each: more of them wait for Python's interpreter lock, and take longer.
 MOST_ITEM_THREADS = 8
 
+# To pack what Warp calls with: the first work item, and the bounds of a launch, see `_HostLaunch`.
 INT, BOUNDS, BOUNDS_OF_BLOCKS = (struct.Struct(members).pack for members in ("i", "INN", "2INN"))
 
 # Threads of a block.
@@ -230,7 +231,7 @@ class _HostLaunch:
         self._pack = struct.Struct("".join(formats) + "0i").pack
 
     def slices(self, ends: list[int], block: tuple[int, ...], inputs: Sequence[Any]) -> list[Slice]:
-        """Launches of the work items between each two of `ends`."""
+        """Launches of the work items between each two of `ends`; `block`: its threads, if any."""
         pairs = zip(self._values, inputs, strict=True)
         packed = self._pack(*[value for values, given in pairs for value in values(given)])
         # Warp's `launch_bounds_t`: sizes, number of items, and of threads that share coordinates.
