@@ -128,6 +128,17 @@ def test_the_whole_hand_has_support_where_it_is() -> None:
     assert max(wrong) < right - 0.2
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_hand_whose_fingers_are_elsewhere_is_there(seed: int) -> None:
+    q, T = hand_pose(seed)
+    hand, observation = built_in_hand().hand, seen(built_in_hand(), q, T)
+    elsewhere = np.where(q > (hand.lower + hand.upper) / 2, hand.lower, hand.upper)
+    assert not certain(observation, elsewhere, T).any()
+    assert support_of(observation, elsewhere, T).whole > CONFIG.min_hand_support
+    turned = T @ exp(np.array([0, 0, 1.0, 0, 0, 0]))
+    assert support_of(observation, q, turned).whole < CONFIG.min_hand_support
+
+
 def test_the_best_of_every_finger_is_combined() -> None:
     q, T = hand_pose(3)
     starts = np.tile(q, (3, 1)) + [[0, 0, 0.3, 0.1], [0.3, -0.1, 0, 0], [0.4, 0.2, -0.3, 0.2]]

@@ -247,6 +247,19 @@ def test_distances_to_several_posed_hands() -> None:
     assert (both[0] != both[1]).any()
 
 
+def test_distances_to_a_finger_by_its_own_links_alone() -> None:
+    scene = held_object("cuboid")
+    hand, state, points = scene.hand, scene.hand_state, scene.observation.points
+    poses = device_poses(state.T_camera_link, "cpu")
+    for i, finger in enumerate(hand.fingers):
+        of_finger = np.isin(np.arange(len(hand.hand.links)), finger.links)
+        expected = hand.distances(points, poses, of_finger, 0.05)
+        own = device_poses(state.T_camera_link[finger.links], "cpu")
+        found = hand.distances(points, own, np.ones(len(own), bool), 0.05, finger=i)
+        np.testing.assert_array_equal(found, expected)
+        assert (expected < 0.05).any()
+
+
 def test_links_that_are_left_out_are_not_there() -> None:
     scene = held_object("cuboid")
     points = scene.observation.points

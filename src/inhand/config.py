@@ -130,12 +130,14 @@ class HandStateConfig(Section):
     """Configurations that differ by less than this in every joint are one [rad]."""
     slide_scale: float = 0.05
     """Metres of a prismatic joint that count as one radian in angles and spreads [m/rad]."""
+    first_points: int = 24
+    """Surface samples of a link while a finger is searched alone."""
     coarse_points: int = 64
-    """Surface samples of a link during the search."""
+    """Surface samples of a link while it is searched beside the others."""
     fine_points: int = 200
     """Surface samples of a link around an alternative."""
-    early_points: int = 16
-    """After so many samples of a link a hopeless configuration is given up."""
+    early_points: int = 32
+    """After so many samples a hopeless configuration is given up."""
     hopeless: Real = -0.5
     """A configuration that scores less is hopeless."""
     coarse_tolerance: float = 0.008
@@ -162,9 +164,9 @@ class HandStateConfig(Section):
     """Width of the redescending weight in the last iteration of the starts [m]."""
     last_width: float = 0.004
     """Width of the redescending weight in the last iteration [m]."""
-    iterations: int = 4
+    iterations: int = 3
     """Gauss-Newton iterations of every start."""
-    last_iterations: int = 4
+    last_iterations: int = 3
     """Gauss-Newton iterations of the best of the starts."""
     start_stride: int = 2
     """Every so-many-th point takes part in the iterations of the starts."""
@@ -175,8 +177,11 @@ class HandStateConfig(Section):
     """Information that holds every joint at its current angle in one iteration [1/rad^2]."""
     certain_support: NonNegative = 0.3
     """A finger link that scores less, per share of it that nothing hides, is not relied on."""
-    min_hand_support: Real = -0.25
+    min_hand_support: Real = -0.1
     """A whole hand that scores less, per share of it that nothing hides, is not in the image."""
+    finger_blame: Share = 0.3
+    """Share of a finger link's score below zero that counts for the whole hand: the hand may be
+    right and the finger elsewhere."""
     min_seen: float = 0.07
     """Shares that nothing hides count as this at least."""
     render_step: int = 4

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from inhand.camera import Camera
 from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer, pinhole
-from inhand.kernels.fields import pack_fields
+from inhand.kernels.fields import fields_of, pack_fields
 from inhand.kernels.hand_depth import trace_bodies
 from inhand.kernels.hand_fit import hand_distances
 from inhand.kernels.hand_terms import FittedHand
@@ -45,6 +45,7 @@ class PackedHand:
         apart: whether two links belong to different parts, palm or fingers, flat (L * L), int.
         whole: all links, `PackedPart`.
         fingers: the fingers, in the order of `hand.fingers`, `PackedPart`.
+        finger_fields: distance fields of the links of each.
         corners: corners of the links' bounding boxes, link frames [m], numpy (L, 8, 3).
     """
 
@@ -79,6 +80,7 @@ class PackedHand:
         self.corners = np.stack([trimesh.bounds.corners(link.mesh.bounds) for link in hand.links])
         self.whole = PackedPart(hand, range(len(hand.links)), device)
         self.fingers = [PackedPart(hand, finger.links, device) for finger in hand.fingers]
+        self.finger_fields = [fields_of(self.fields, f.links, device) for f in hand.fingers]
 
     @cached_property
     def palm(self) -> "PackedPart":
@@ -106,6 +108,7 @@ class PackedHand:
         T_camera_link: Any,
         links: NDArray[np.bool_],
         farthest: float,
+        finger: int | None = None,
     ) -> NDArray[np.float32]:
         """Signed distances [m], (c, n), of points to some of the links, cut off at `farthest`.
 
@@ -114,9 +117,11 @@ class PackedHand:
             T_camera_link: poses of all links, flat (c * L), on the device.
             links: whether each of them counts, shape (L,).
             farthest: [m].
+            finger: if given, the links are those of this finger, and only these.
         """
+        fields = self.fields if finger is None else self.finger_fields[finger]
         used, shape = links.astype(np.int32), (len(T_camera_link) // len(links), len(points))
-        inputs = [on_device(points, wp.vec3, self.device), self.fields, T_camera_link]
+        inputs = [on_device(points, wp.vec3, self.device), fields, T_camera_link]
         inputs += [on_device(used, int, self.device), farthest]
         return computed(hand_distances, shape, float, inputs, self.device, work_per_item=20)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from inhand.geometry.distance_field import DistanceField
 from inhand.geometry.mesh import TriangleMesh
 from inhand.kernels.depth import bounding_sphere
-from inhand.kernels.launch import pack
+from inhand.kernels.launch import in_struct, pack
 
 
 @wp.struct
@@ -48,6 +48,16 @@ def pack_fields(
         high=high,
         sphere=[bounding_sphere(mesh) for mesh in meshes],
     )
+
+
+def fields_of(fields: Any, bodies: Sequence[int], device: str) -> Any:
+    """The fields of some of the bodies, as one kernel argument; the values are shared."""
+    part = Fields()
+    part.values = fields.values
+    for name in ("start", "size", "origin", "voxel", "low", "high", "sphere"):
+        array = getattr(fields, name)
+        setattr(part, name, in_struct(array.numpy()[list(bodies)], array.dtype, device))
+    return part
 
 
 def _surface_box(field: DistanceField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -32,6 +32,9 @@ class FingerSearch:
 
     def __init__(self, observation: Observation, hand: PackedHand, config: HandStateConfig) -> None:
         self.packed, self.hand, self.config = hand, hand.hand, config
+        self._first_rule = config.coarse_tolerance, config.first_points
+        self._coarse_rule = config.coarse_tolerance, config.coarse_points
+        self._fine_rule = config.fine_tolerance, config.fine_points
         slides = hand.hand.chain.source[hand.hand.chain.kind == PRISMATIC]
         self.scale = np.ones(len(hand.hand.rest))
         self.scale[slides] = config.slide_scale
@@ -45,14 +48,14 @@ class FingerSearch:
         """The best distinct configurations of every finger, best first, (a, finger's joints) each,
         and many more that the image allows.
 
-        All fingers are searched alone first; then in the order of their scores, each beside those
-        before it, among its better configurations.
+        All fingers are searched alone first, by a few samples; then in the order of their scores,
+        each beside those before it, among its better configurations.
         """
         fingers, q = self.packed.fingers, self.hand.rest.copy()
         there = self._palm(q, T_camera_hand)
         found = [configurations(f, self.hand, self.config.samples) for f in fingers]
         scores = [
-            self._score(finger, tried, T_camera_hand[None], there, fine=False)
+            self._score(finger, tried, T_camera_hand[None], there, self._first_rule)
             for finger, tried in zip(fingers, found, strict=True)
         ]
         order = np.argsort([-score.max() for score in scores])
@@ -61,11 +64,12 @@ class FingerSearch:
             tried, score = found[i], scores[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
-                tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
-                score = self._score(fingers[i], tried, T_camera_hand[None], there, fine=False)
-            best = np.argsort(-score, kind="stable")[: self.config.allowed]
-            allowed[i] = Configurations(tried[best], score[best])
-            found[i] = self._look_around(fingers[i], tried, score, T_camera_hand, there, rng)
+            tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
+            score = self._score(fingers[i], tried, T_camera_hand[None], there, self._coarse_rule)
+            best = np.argsort(-score, kind="stable")
+            tried, score = tried[best], score[best]
+            allowed[i] = Configurations(tried[: self.config.allowed], score[: self.config.allowed])
+            found[i] = self._look_around(fingers[i], tried, T_camera_hand, there, rng)
             q[fingers[i].joints] = found[i][0]
         return found, tuple(allowed[i] for i in range(len(fingers)))
 
@@ -77,7 +81,9 @@ class FingerSearch:
             T_camera_hand: refined wrist poses, shape (s, 4, 4).
         """
         fingers, there = self.packed.fingers, self._palm(q[0], T_camera_hand[0])
-        alone = [self._score(f, q[:, f.joints], T_camera_hand, there, fine=True) for f in fingers]
+        alone = [
+            self._score(f, q[:, f.joints], T_camera_hand, there, self._fine_rule) for f in fingers
+        ]
         best = np.sum(alone, axis=0).argmax()
         T, combined = T_camera_hand[best], q[best].copy()
         order = np.argsort([-score.max() for score in alone])
@@ -85,31 +91,33 @@ class FingerSearch:
             joints, score = fingers[i].joints, alone[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(combined, T))
-                score = self._score(fingers[i], q[:, joints], T_camera_hand, there, fine=True)
+                score = self._score(fingers[i], q[:, joints], T_camera_hand, there, self._fine_rule)
             combined[joints] = q[score.argmax(), joints]
         return combined, T
 
     def _score(
-        self, finger: PackedPart, joints: Array, T_camera_hand: Array, others: Any, *, fine: bool
+        self,
+        finger: PackedPart,
+        joints: Array,
+        T_camera_hand: Array,
+        others: Any,
+        rule: tuple[float, int],
     ) -> Array:
-        """Scores (c,) beside what else is there, by the fine or the coarse rule."""
-        c = self.config
-        rule = (c.fine_tolerance, c.fine_points) if fine else (c.coarse_tolerance, c.coarse_points)
+        """Scores (c,) beside what else is there, by a depth agreement [m] and samples of a link."""
         return self.visibility.score(finger, joints, T_camera_hand, others, *rule)[0]
 
     def _look_around(
         self,
         finger: PackedPart,
         tried: Array,
-        score: Array,
         T_camera_hand: Array,
         others: Any,
         rng: np.random.Generator,
     ) -> Array:
-        """The best distinct configurations (a, k) near those of a search, best first."""
+        """The best distinct configurations (a, k) near those of a search; best first, both."""
         config, joints = self.config, finger.joints
         scale = self.scale[joints]
-        centres = _distinct(tried, score, config.distinct_angle * scale, config.alternatives)
+        centres = _distinct(tried, config.distinct_angle * scale, config.alternatives)
         spread = rng.normal(
             0, config.local_spread, (len(centres), config.local_samples, len(joints))
         )
@@ -117,7 +125,7 @@ class FingerSearch:
         around = centres[:, None] + spread * scale
         around = np.clip(around, self.hand.lower[joints], self.hand.upper[joints])
         flat = around.reshape(-1, len(joints))
-        score = self._score(finger, flat, T_camera_hand[None], others, fine=True)
+        score = self._score(finger, flat, T_camera_hand[None], others, self._fine_rule)
         score = score.reshape(len(centres), -1)
         best = around[np.arange(len(centres)), score.argmax(axis=1)]
         return best[np.argsort(-score.max(axis=1))]
@@ -155,10 +163,9 @@ def _even_points(dimension: int, count: int) -> Array:
     return np.asarray(qmc.Sobol(dimension, seed=0).random_base2(int(np.log2(count))))
 
 
-def _distinct(tried: Array, score: Array, apart: Array, keep: int) -> Array:
-    """The best configurations that differ by `apart` (joints,) in some joint, best first."""
+def _distinct(left: Array, apart: Array, keep: int) -> Array:
+    """The first configurations that differ by `apart` (joints,) in some joint."""
     chosen: list[Array] = []
-    left = tried[np.argsort(-score)]
     while len(left) and len(chosen) < keep:
         chosen.append(left[0])
         left = left[(np.abs(left - left[0]) > apart).any(axis=1)]

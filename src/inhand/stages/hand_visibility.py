@@ -58,7 +58,7 @@ class HandVisibility:
         rule = visibility_rule(config, max(tolerance or config.fine_tolerance, self._noise))
         samples = int(np.minimum(part.counts, points or part.counts).sum())
         inputs = [self._view, rule, part.pose(q, T_camera_hand), len(part.links), part.points]
-        inputs += [part.normals, part.link, samples, config.early_points * len(part.links)]
+        inputs += [part.normals, part.link, samples, config.early_points]
         inputs += [config.hopeless, self._nothing if others is None else others, config.render_step]
         shape, work = (len(q),), 2 * samples
         kernel, device = score_configurations, part.device
@@ -73,7 +73,7 @@ class Support:
     links: Array
     """Of every link, shape (L,), without what another finger or the palm explains as well."""
     whole: float
-    """Of the whole hand."""
+    """Of the whole hand, with less weight on what contradicts its fingers."""
 
 
 def hand_support(
@@ -104,7 +104,9 @@ def hand_support(
     sums = computed(kernel, shape, SupportSums, inputs, device, work_per_item=work, shared=True)
     area, score, seen, other_score, other_seen = sums.astype(np.float64).T
     least = config.min_seen * area
-    whole = (score + other_score).sum() / max((seen + other_seen).sum(), least.sum())
+    together = score + other_score
+    blamed = np.where((together < 0) & ~hand.is_palm, config.finger_blame, 1.0) * together
+    whole = blamed.sum() / max((seen + other_seen).sum(), least.sum())
     return Support(score / np.maximum(seen, least), float(whole))
 
 

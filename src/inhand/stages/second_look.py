@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,18 +33,20 @@ def hands_in_segment(
     widths = np.geomspace(
         config.hand_state.first_width, config.hand_state.last_width, look.iterations
     )
+    points, weights = _few(segment, look)
     found = []
     for finger, q, explained in fingers_in_segment(hand_state, segment, hand, look):
         if explained < look.promising:
             continue
         q, T = fit.refine(q[None], hand_state.T_camera_hand[None], widths)
-        poses = hand.pose(q, T)
-        if _explained(poses, finger.links, segment, hand, look)[0] < look.explained:
+        poses, links = hand.pose(q, T), np.arange(len(hand.hand.links))
+        distance = np.concatenate(
+            [hand.distances(points, poses, links == link, look.near) for link in finger.links]
+        )
+        if _explained(distance.min(axis=0), weights, look) < look.explained:
             continue
         certain = hand_state.certain.copy()
-        for link in finger.links:
-            if _explained(poses, link, segment, hand, look)[0] > look.link_explained:
-                certain[link] = True
+        certain[finger.links] |= _explained(distance, weights, look) > look.link_explained
         found.append(HandState(q[0], T[0], hand.link_poses(q, T)[0], certain, hand_state.allowed))
     return found
 
@@ -79,33 +80,33 @@ def fingers_in_segment(
     """Every finger without support, with the joint vector (n,) that puts it where it explains most
     of the segment, and the share of the segment's weight that it explains there."""
     found = []
-    for finger in hand.fingers:
+    points, weights = _few(segment, config)
+    for i, finger in enumerate(hand.fingers):
         if hand_state.certain[finger.links].all():
             continue
         joints = configurations(finger, hand.hand, config.samples)
-        q = np.repeat(hand_state.joint_vector[None], len(joints), 0)
-        q[:, finger.joints] = joints
-        poses = hand.pose(q, hand_state.T_camera_hand[None])
-        explained = _explained(poses, finger.links, segment, hand, config)
+        poses = finger.pose(joints, hand_state.T_camera_hand[None])
+        links = np.ones(len(finger.links), dtype=bool)
+        distance = hand.distances(points, poses, links, config.near, finger=i)
+        explained = _explained(distance, weights, config)
         best = explained.argmax()
-        found.append((finger, q[best], float(explained[best])))
+        q = hand_state.joint_vector.copy()
+        q[finger.joints] = joints[best]
+        found.append((finger, q, float(explained[best])))
     return found
 
 
-def _explained(
-    T_camera_link: Any,
-    links: NDArray[np.intp] | int,
-    segment: Segment,
-    hand: PackedHand,
-    config: SecondLookConfig,
-) -> NDArray[np.float32]:
-    """Shares (c,) of the segment's weight at the surface of some links.
-
-    `T_camera_link`: poses on the device, flat (c * L).
-    """
+def _few(
+    segment: Segment, config: SecondLookConfig
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Some of the segment's points, (n, 3), and their weights, (n,)."""
     stride = max(1, len(segment.points) // config.points)
-    points, weights = segment.points[::stride], segment.weight[::stride]
-    used = np.isin(np.arange(len(hand.hand.links)), links)
-    distance = hand.distances(points, T_camera_link, used, config.near)
+    return segment.points[::stride], segment.weight[::stride]
+
+
+def _explained(
+    distance: NDArray[np.float32], weights: NDArray[np.float32], config: SecondLookConfig
+) -> NDArray[np.float32]:
+    """Shares (...) of the points' weight at a surface, by their distances (..., n) to it [m]."""
     near = np.maximum(0, 1 - np.abs(distance) / config.near)
     return np.asarray(near @ weights / weights.sum())
