@@ -108,13 +108,15 @@ def test_a_registration_finds_the_object_without_the_hand(base: str, source: str
     assert ("icp" in estimate.timings) == (base != "super4pcs")
 
 
-def test_opencv_finds_a_part_with_corners_without_the_hand() -> None:
-    part = held_object("industrial_part")
-    seen = View(part.depth, CAMERA, part.hand_state.T_camera_hand)
-    (estimate,) = run("opencv-ppf+hs", seen, of=part)
+@pytest.mark.parametrize("aside", [-0.02, 0.0, 0.02])
+def test_opencv_finds_a_bottle_without_the_hand(aside: float) -> None:
+    # Remains of the hand pull at other objects: which of these places it finds a can or an
+    # industrial part at changes with the segment's sampling.
+    bottle = held_object("bottle", aside)
+    seen = View(bottle.depth, CAMERA, bottle.hand_state.T_camera_hand)
+    (estimate,) = run("opencv-ppf+hs", seen, of=bottle)
     assert estimate.T_camera_object is not None
-    # Remains of the hand pull at it: whether its ICP ends 0.2 or 0.7 mm off, rounding decides.
-    assert error(estimate.T_camera_object, of=part) < 0.001
+    assert error(estimate.T_camera_object, of=bottle) < 0.0005
 
 
 @pytest.mark.parametrize("name", ["inhand", "paper", "super4pcs+hs+icp", FROM_TRUTH])

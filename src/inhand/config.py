@@ -133,7 +133,7 @@ class HandStateConfig(Section):
     first_points: int = 24
     """Surface samples of a link while a finger is searched alone."""
     coarse_points: int = 64
-    """Surface samples of a link while it is searched beside the others."""
+    """Surface samples of a link while a finger is searched beside the others, and of the palm."""
     fine_points: int = 200
     """Surface samples of a link around an alternative."""
     early_points: int = 32
