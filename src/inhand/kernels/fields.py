@@ -51,7 +51,7 @@ def pack_fields(
 
 
 def fields_of(fields: Any, bodies: Sequence[int], device: str) -> Any:
-    """The fields of some of the bodies, as one kernel argument; the values are shared."""
+    """The fields of some bodies, by their indices, as one kernel argument; values are shared."""
     part = Fields()
     part.values = fields.values
     for name in ("start", "size", "origin", "voxel", "low", "high", "sphere"):

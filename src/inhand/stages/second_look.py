@@ -33,7 +33,7 @@ def hands_in_segment(
     widths = np.geomspace(
         config.hand_state.first_width, config.hand_state.last_width, look.iterations
     )
-    points, weights = _few(segment, look)
+    points, weights = _thinned(segment, look)
     found = []
     for finger, q, explained in fingers_in_segment(hand_state, segment, hand, look):
         if explained < look.promising:
@@ -80,7 +80,7 @@ def fingers_in_segment(
     """Every finger without support, with the joint vector (n,) that puts it where it explains most
     of the segment, and the share of the segment's weight that it explains there."""
     found = []
-    points, weights = _few(segment, config)
+    points, weights = _thinned(segment, config)
     for i, finger in enumerate(hand.fingers):
         if hand_state.certain[finger.links].all():
             continue
@@ -96,10 +96,10 @@ def fingers_in_segment(
     return found
 
 
-def _few(
+def _thinned(
     segment: Segment, config: SecondLookConfig
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Some of the segment's points, (n, 3), and their weights, (n,)."""
+    """About `config.points` of the segment's points [m], camera frame, (n, 3); weights, (n,)."""
     stride = max(1, len(segment.points) // config.points)
     return segment.points[::stride], segment.weight[::stride]
 
