@@ -37,7 +37,7 @@ STEP = 8
 
 SMALL = replace(
     EstimatorConfig(),
-    hand_state=HandStateConfig(samples=128, coarse_points=16, fine_points=32, local_samples=8),
+    hand_state=HandStateConfig(samples=64, coarse_points=16, fine_points=32, local_samples=8),
     hypotheses=HypothesesConfig(pairs=80, matches=8),
     clustering=ClusteringConfig(keep=10),
     refinement=RefinementConfig(iterations=3, keep=10),

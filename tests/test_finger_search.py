@@ -1,13 +1,18 @@
 from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
+import tiny_urdf
 from hand_view import seen, wrist
 from held_object import Q, built_in_hand, held_object
 
 from inhand.config import HandStateConfig
 from inhand.geometry.mesh import box
 from inhand.geometry.se3 import exp
+from inhand.hand import Hand
+from inhand.packed import PackedHand
 from inhand.stages.finger_search import FingerSearch
 from inhand.stages.hand_visibility import Support, hand_support
 from inhand.stages.observation import Observation
@@ -80,6 +85,34 @@ def test_alternatives_are_few_and_possible_and_repeatable() -> None:
         assert (configurations >= hand.lower[joints]).all()
         assert (configurations <= hand.upper[joints]).all()
         np.testing.assert_array_equal(configurations, same)
+
+
+def long_finger(folder: Path) -> PackedHand:
+    """A palm with a finger of four joints, of which the first spreads it."""
+    limits = '<limit lower="-0.3" upper="1.6" effort="1" velocity="1"/>'
+    bone, names = '<box size="0.016 0.014 0.036"/>', ("a", "b", "c", "d")
+    links = [tiny_urdf.link(name, bone, '<origin xyz="0 0 0.02"/>') for name in names]
+    joints = [
+        tiny_urdf.joint(f"to_{child}", parent, child, inside=limits, axis=axis, xyz="0 0 0.04")
+        for parent, child, axis in zip(
+            ("palm", *names[:3]), names, ("0 1 0", *3 * ["1 0 0"]), strict=True
+        )
+    ]
+    palm = tiny_urdf.link("palm", '<box size="0.08 0.03 0.08"/>')
+    return PackedHand(Hand.from_urdf(tiny_urdf.write(folder, palm, *links, *joints)), "cpu")
+
+
+def test_alternatives_of_a_finger_of_many_joints_are_not_neighbours(tmp_path: Path) -> None:
+    hand = long_finger(tmp_path)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        T, q = wrist(rng.normal(0, 0.4, 3).tolist(), 0.6, 0.1), rng.uniform(0, 1.2, 4)
+        search = FingerSearch(seen(hand, q, T), hand, CONFIG)
+        (found,), _ = search.alternatives(T, rng)
+        assert len(found) == CONFIG.alternatives
+        # 2,048 configurations of four joints are a seventh of the range apart: 0.28.
+        for one, other in combinations(found, 2):
+            assert np.abs(one - other).max() > 0.28
 
 
 @pytest.mark.parametrize("missing", [0, 1])

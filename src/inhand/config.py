@@ -120,14 +120,18 @@ class HandStateConfig(Section):
     method: Literal["visibility", "swarm"] = "visibility"
     """`swarm`: the paper's particle swarm on Alg. 1; `visibility`: projective search, then a
     joint Gauss-Newton over wrist and fingers."""
-    samples: int = 2000
-    """Configurations tried per finger, rounded down to a power of two."""
+    samples: int = 512
+    """Configurations tried per finger, doubled for every second joint of it, at most four times;
+    rounded down to a power of two."""
     shortlist: int = 512
     """The best of these that are tried once more beside the other fingers."""
     alternatives: int = 4
     """Distinct configurations per finger that enter the joint refinement."""
     distinct_angle: NonNegative = 0.1
     """Configurations that differ by less than this in every joint are one [rad]."""
+    distinct_spacings: NonNegative = 2.0
+    """And those that differ by less than so many times what neighbours of all those tried do: the
+    more joints, the farther apart these are."""
     slide_scale: float = 0.05
     """Metres of a prismatic joint that count as one radian in angles and spreads [m/rad]."""
     first_points: int = 24
@@ -540,8 +544,8 @@ class SecondLookConfig(Section):
 
     below: Share = 0.6
     """An answer of a smaller confidence is looked at again; 0: none is."""
-    samples: int = 256
-    """Configurations of a finger that are tried, all over its range: a power of two up to this."""
+    samples: int = 128
+    """Configurations of a finger that are tried, doubled and rounded as in `HandStateConfig`."""
     points: int = 200
     """About so many segment points are held against them."""
     doubt_below: Share = 0.95

@@ -117,10 +117,12 @@ class FingerSearch:
         """The best distinct configurations (a, k) near those of a search; best first, both."""
         config, joints = self.config, finger.joints
         scale = self.scale[joints]
-        centres = _distinct(tried, config.distinct_angle * scale, config.alternatives)
-        spread = rng.normal(
-            0, config.local_spread, (len(centres), config.local_samples, len(joints))
-        )
+        searched = configurations(finger, self.hand, config.samples)
+        spacing = np.ptp(searched, axis=0) * len(searched) ** (-1 / len(joints))
+        apart = np.maximum(config.distinct_angle * scale, config.distinct_spacings * spacing)
+        centres = _distinct(tried, apart, config.alternatives)
+        shape = len(centres), config.local_samples, len(joints)
+        spread = rng.normal(0, config.local_spread, shape)
         spread[:, 0] = 0.0
         around = centres[:, None] + spread * scale
         around = np.clip(around, self.hand.lower[joints], self.hand.upper[joints])
@@ -152,14 +154,16 @@ class FingerSearch:
 
 
 def configurations(finger: PackedPart, hand: Hand, count: int) -> Array:
-    """Configurations (c, k) all over a finger's range; c is a power of two up to `count`."""
+    """Configurations (c, k) all over a finger's range; c is a power of two up to `count`, which is
+    doubled for every second joint, at most four times."""
     lower, upper = hand.lower[finger.joints], hand.upper[finger.joints]
     return lower + _even_points(len(lower), count) * (upper - lower)
 
 
 @cache
 def _even_points(dimension: int, count: int) -> Array:
-    """Points that fill the unit cube evenly, (c, dimension); c is a power of two up to `count`."""
+    """Points that fill the unit cube evenly, (c, dimension); c as in `configurations`."""
+    count <<= min(dimension // 2, 4)
     return np.asarray(qmc.Sobol(dimension, seed=0).random_base2(int(np.log2(count))))
 
 
