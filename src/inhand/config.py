@@ -230,7 +230,7 @@ class SegmentationConfig(Section):
     """`soft`: and where it bends towards the camera by more than this from cell to cell [rad]."""
     dense_below: int = 400
     """`soft`: a segment of fewer points is taken again from a finer scene cloud."""
-    dense_points: int = 800
+    dense_points: int = 1200
     """`soft`: which is to have about so many points in it, as far as there are pixels."""
     min_points: int = 20
     """Fewer object points than this: no answer."""

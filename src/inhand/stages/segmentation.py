@@ -46,7 +46,7 @@ def segment_object(
     segment = _segment(cloud, hand_state, hand, object_diameter, config)
     if soft and 0 < len(segment.points) < config.dense_below:
         share = len(segment.points) / config.dense_points
-        step = max(1, int(observation.step * math.sqrt(share)))
+        step = max(1, round(observation.step * math.sqrt(share)))
         cloud = background.removed_from(observation.cloud(step, segment.points))
         segment = _segment(cloud, hand_state, hand, object_diameter, config)
     if segment.weight.sum() < config.min_points:
