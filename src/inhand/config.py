@@ -130,8 +130,8 @@ class HandStateConfig(Section):
     distinct_angle: NonNegative = 0.1
     """Configurations that differ by less than this in every joint are one [rad]."""
     distinct_spacings: NonNegative = 2.0
-    """And those that differ by less than so many times what neighbours of all those tried do: the
-    more joints, the farther apart these are."""
+    """So are those that differ in every joint by less than so many times the spacing of all that
+    are tried, which grows with the number of joints."""
     slide_scale: float = 0.05
     """Metres of a prismatic joint that count as one radian in angles and spreads [m/rad]."""
     first_points: int = 24
