@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from inhand.datasets.frames import LABEL_OBJECT, Frame
 from inhand.estimator import StageResults
 from inhand.evaluation.metrics import ObjectMetric, PoseError
+from inhand.stages.observation import Observation
+from inhand.stages.results import Segment
 
 SOLVED = 0.005
 """A pose with a smaller ADI is right [m] (paper, section V-A)."""
@@ -46,7 +48,7 @@ class SegmentQuality(NamedTuple):
     precision: float
     """Share of the segment that is object, by weight."""
     recall: float
-    """Share of the scene cloud's object points that the segment kept, by weight."""
+    """Share of the object points it was chosen from that the segment kept, by weight."""
 
 
 def best_adi_by_stage(
@@ -76,12 +78,12 @@ def segment_quality(results: StageResults, frame: Frame) -> SegmentQuality | Non
     """
     if results.observation is None or results.segment is None:
         return None
-    # By pixel, since a segment may be denser than the scene cloud.
     v, u = _pixels(results.segment.points, frame)
     weight = np.zeros(frame.truth.label.shape)
     weight[v, u] = results.segment.weight
     is_object = frame.truth.label == LABEL_OBJECT
-    v, u = _pixels(results.observation.points, frame)
+    step = _step_of(results.segment, results.observation)
+    v, u = _pixels(results.observation.cloud(step).points, frame)
     found = weight[v, u][is_object[v, u]]
     if len(found) == 0:
         return None
@@ -89,6 +91,14 @@ def segment_quality(results: StageResults, frame: Frame) -> SegmentQuality | Non
         precision=float(weight[is_object].sum() / max(weight.sum(), 1e-9)),
         recall=float(found.mean()),
     )
+
+
+def _step_of(segment: Segment, observation: Observation) -> int:
+    """The step of the scene cloud, in pixels, that a segment was chosen from: a small one is taken
+    again from a finer cloud, whose pixels are others."""
+    pixels = np.rint(observation.camera.project(segment.points)).astype(int)
+    steps = range(observation.step, 0, -1)
+    return next(step for step in steps if ((pixels - step // 2) % step == 0).all())
 
 
 def _pixels(points: NDArray[np.floating], frame: Frame) -> tuple[NDArray[np.int_], ...]:
