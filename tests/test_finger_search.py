@@ -5,17 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tiny_urdf
-from hand_view import seen, wrist
+from hand_view import CAMERA, seen, wrist
 from held_object import Q, built_in_hand, held_object
 
-from inhand.config import HandStateConfig
+from inhand.config import HandStateConfig, ObservationConfig
 from inhand.geometry.mesh import box
 from inhand.geometry.se3 import exp
 from inhand.hand import Hand
+from inhand.kernels.depth import DepthRenderer
 from inhand.packed import PackedHand
 from inhand.stages.finger_search import FingerSearch
 from inhand.stages.hand_visibility import Support, hand_support
-from inhand.stages.observation import Observation
+from inhand.stages.observation import Observation, observe
 
 CONFIG = HandStateConfig()
 
@@ -170,6 +171,25 @@ def test_a_hand_whose_fingers_are_elsewhere_is_there(seed: int) -> None:
     assert support_of(observation, elsewhere, T).whole > CONFIG.min_hand_support
     turned = T @ exp(np.array([0, 0, 1.0, 0, 0, 0]))
     assert support_of(observation, q, turned).whole < CONFIG.min_hand_support
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_hand_of_which_most_is_too_near_for_the_sensor_is_there(seed: int) -> None:
+    q, T = hand_pose(seed)
+    hand = built_in_hand()
+    posed = hand.link_poses(q[None], T[None])[0]
+    depth, link = DepthRenderer([x.mesh for x in hand.hand.links]).render(CAMERA, posed)
+
+    def support_in(depth: np.ndarray) -> float:
+        reach, config = hand.hand.reach, ObservationConfig()
+        observation = observe(depth, CAMERA, T, reach, 0.05, config, "cpu")
+        return support_of(observation, q, T).whole
+
+    near = depth < np.quantile(depth[link >= 0], 0.7)
+    assert support_in(np.where(near, np.float32(0), depth)) > CONFIG.min_hand_support
+    # A hole in a wall, with the hand's outline, is no hand.
+    hole = np.where(link >= 0, np.float32(0), np.float32(0.75))
+    assert support_in(hole) < CONFIG.min_hand_support
 
 
 def test_the_best_of_every_finger_is_combined() -> None:

@@ -181,11 +181,14 @@ class HandStateConfig(Section):
     """Information that holds every joint at its current angle in one iteration [1/rad^2]."""
     certain_support: NonNegative = 0.3
     """A finger link that scores less, per share of it that nothing hides, is not relied on."""
-    min_hand_support: Real = -0.1
+    min_hand_support: Real = -0.05
     """A whole hand that scores less, per share of it that nothing hides, is not in the image."""
     finger_blame: Share = 0.3
     """Share of a finger link's score below zero that counts for the whole hand: the hand may be
     right and the finger elsewhere."""
+    missing_blame: Share = 0.5
+    """Share of the penalties for missing readings that counts for the whole hand: the sensor may
+    have none of what is there."""
     min_seen: float = 0.07
     """Shares that nothing hides count as this at least."""
     render_step: int = 4

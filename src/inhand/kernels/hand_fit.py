@@ -145,9 +145,9 @@ def score_configurations(
     score[c] = wp.vec2(sums[0], sums[1]) / sums[2]
 
 
-SupportSums = wp.types.vector(length=5, dtype=float)
+SupportSums = wp.types.vector(length=6, dtype=float)
 """Sums over camera-facing surface samples: the area; the judgements and the area that nothing hides
-of what no other part hides or explains; both of the rest."""
+of what no other part hides or explains; both of the rest; the judgements of missing readings."""
 
 
 @wp.kernel
@@ -209,11 +209,14 @@ def link_support(
         at = int(1)
         if other >= 0 or (hidden and apart[parts + wp.max(shown, 0)] != 0):
             at = int(3)
-        sum[at] += facing * judge_point(view, rule, p, n, pixel)
+        judgement = facing * judge_point(view, rule, p, n, pixel)
+        sum[at] += judgement
         d = view.depth[pixel]
         if d <= 0.0 or d > p[2] - rule.tolerance:
             sum[at + 1] += facing
-    for at in range(5):
+        if d <= 0.0:
+            sum[5] += judgement
+    for at in range(6):
         sum[at] = block_sum(sum[at])
     sums[k] = float(stride) * sum
 

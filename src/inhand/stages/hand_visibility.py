@@ -73,7 +73,8 @@ class Support:
     links: Array
     """Of every link, shape (L,), without what another finger or the palm explains as well."""
     whole: float
-    """Of the whole hand, with less weight on what contradicts its fingers."""
+    """Of the whole hand, with less weight on what contradicts its fingers, and on what has no
+    readings."""
 
 
 def hand_support(
@@ -102,9 +103,9 @@ def hand_support(
     inputs += [depth, shown, config.render_step]
     kernel, shape, work = link_support, (count,), 15 * config.fine_points
     sums = computed(kernel, shape, SupportSums, inputs, device, work_per_item=work, shared=True)
-    area, score, seen, other_score, other_seen = sums.astype(np.float64).T
+    area, score, seen, other_score, other_seen, missing = sums.astype(np.float64).T
     least = config.min_seen * area
-    together = score + other_score
+    together = score + other_score - (1 - config.missing_blame) * missing
     blamed = np.where((together < 0) & ~hand.is_palm, config.finger_blame, 1.0) * together
     whole = blamed.sum() / max((seen + other_seen).sum(), least.sum())
     return Support(score / np.maximum(seen, least), float(whole))
