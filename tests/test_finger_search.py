@@ -15,7 +15,7 @@ from inhand.hand import Hand
 from inhand.kernels.depth import DepthRenderer
 from inhand.packed import PackedHand
 from inhand.stages.finger_search import FingerSearch
-from inhand.stages.hand_visibility import Support, hand_support
+from inhand.stages.hand_visibility import Support, hand_support, nearest_around
 from inhand.stages.observation import Observation, observe
 
 CONFIG = HandStateConfig()
@@ -67,6 +67,34 @@ def test_the_joints_around_an_object_are_found(name: str) -> None:
     scene = held_object(name)
     T = scene.hand_state.T_camera_hand
     np.testing.assert_allclose(best(search_of(scene.observation), T), Q, atol=0.15)
+
+
+@pytest.mark.parametrize(("distance", "step"), [(0.0, 3), (0.004, 4), (0.01, 4), (0.01, 1)])
+def test_the_least_depth_around(distance: float, step: int) -> None:
+    q, T = hand_pose(0)
+    observation = seen(built_in_hand(), q, T)
+    coarse = observation.camera.subsampled(step)
+    found = nearest_around(observation, distance, step).reshape(coarse.height, coarse.width)
+    radius = round(distance * observation.camera.fx / observation.sphere[0][2] / step)
+    depth = np.where(observation.depth > 0, observation.depth, np.inf)
+    for v, u in np.random.default_rng(0).integers(0, found.shape, (200, 2)):
+        low, high = np.array([v, u]) - radius, np.array([v, u]) + radius + 1
+        rows, columns = (slice(max(a, 0) * step, b * step) for a, b in zip(low, high, strict=True))
+        assert found[v, u] == depth[rows, columns].min()
+
+
+def test_fingers_are_found_though_the_wrist_is_a_little_off() -> None:
+    found = []
+    for seed in range(40):
+        q, T = hand_pose(seed)
+        observation = seen(built_in_hand(), q, T)
+        rng = np.random.default_rng(seed)
+        turned = T @ exp(np.array([*rng.normal(0, 0.03, 3), 0, 0, 0]))
+        alternatives, _ = search_of(observation).alternatives(turned, rng)
+        for finger, one in zip(built_in_hand().hand.fingers, alternatives, strict=True):
+            off = np.abs(one - q[list(finger.joints)]).max(axis=1).min()
+            found.append(off < 0.2)
+    assert np.mean(found) > 0.88
 
 
 def test_alternatives_are_few_and_possible_and_repeatable() -> None:

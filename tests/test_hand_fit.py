@@ -28,26 +28,31 @@ def scores(
     normals: np.ndarray,
     fixed: np.ndarray | float = 0.0,
     early: tuple[int, float] = (0, 0.0),
-) -> tuple[np.ndarray, np.ndarray]:
-    """Score and open share, (c,) each, of one rigid set of surface samples at poses (c, 4, 4).
+    nearest: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Score, open share and lenient score, (c,) each, of one rigid set of surface samples at poses
+    (c, 4, 4).
 
     A pose that scores below `early[1]` after `early[0]` samples is given up.
     """
     n, width, height = len(points), seen_by.camera.width, seen_by.camera.height
-    other = np.broadcast_to(fixed, (height, width)).reshape(-1)
+    other, around = (
+        wp.array(np.broadcast_to(image, (height, width)).reshape(-1), dtype=float)
+        for image in (fixed, nearest)
+    )
     scores = computed(
         score_configurations,
         (len(poses),),
-        wp.vec2,
+        wp.vec3,
         [seen_by, rule, device_poses(poses, "cpu"), 1]
         + [wp.array(points, dtype=wp.vec3), wp.array(normals, dtype=wp.vec3)]
         + [wp.zeros(n, dtype=int), n, *early]
-        + [wp.array(other, dtype=float), 1],
+        + [other, 1, around],
         "cpu",
         work_per_item=n,
         shared=True,
     )
-    return scores[:, 0], scores[:, 1]
+    return scores[:, 0], scores[:, 1], scores[:, 2]
 
 
 def judge(
@@ -56,7 +61,7 @@ def judge(
     """Score and open share of one surface point on the optical axis, or beside it."""
     pose = np.eye(4)[None]
     pose[0, :3, 3] = [x, 0, z]
-    score, seen = scores(image, visibility(), pose, np.zeros((1, 3)), np.array([normal]), fixed)
+    score, seen, _ = scores(image, visibility(), pose, np.zeros((1, 3)), np.array([normal]), fixed)
     return float(score[0]), float(seen[0])
 
 
@@ -117,9 +122,26 @@ def test_the_score_is_a_mean_over_the_projected_area() -> None:
     normals = -(points + [0, 0, WALL]) / np.linalg.norm(points + [0, 0, WALL], axis=1)[:, None]
     pose = np.eye(4)[None]
     pose[0, :3, 3] = [0, 0, WALL]
-    score, seen = scores(view(SMALL, depth), visibility(), pose, points, normals)
+    score, seen, _ = scores(view(SMALL, depth), visibility(), pose, points, normals)
     assert score[0] == pytest.approx((1 - VIOLATION - HIDDEN) / 3, abs=1e-3)
     assert seen[0] == pytest.approx(2 / 3, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("beside", "excused"), [(0.0, False), (np.inf, False), (0.7, False), (WALL, True), (0.4, True)]
+)
+def test_what_is_looked_through_is_excused_beside_what_is_as_near(
+    beside: float, excused: bool
+) -> None:
+    depth = np.full((31, 41), 0.7)
+    pose = np.eye(4)[None]
+    pose[0, 2, 3] = WALL
+    point, normal = np.zeros((1, 3)), np.array([TOWARDS])
+    strict, _, lenient = scores(
+        view(SMALL, depth), visibility(), pose, point, normal, nearest=beside
+    )
+    assert strict[0] == pytest.approx(-VIOLATION, abs=1e-3)
+    assert lenient[0] == pytest.approx(0 if excused else -VIOLATION, abs=1e-3)
 
 
 @pytest.mark.parametrize("hopeless", [-0.5, 0.5])
@@ -132,8 +154,8 @@ def test_hopeless_poses_are_given_up(hopeless: float) -> None:
     poses[:, 2, 3] = WALL
     poses[1, 0, 3] = 0.06  # two that agree, and two outside the image
     image, normals = view(SMALL, depth), np.tile(TOWARDS, (4, 1))
-    whole, _ = scores(image, visibility(), poses, points, normals)
-    found, _ = scores(image, visibility(), poses, points, normals, early=(2, hopeless))
+    whole, *_ = scores(image, visibility(), poses, points, normals)
+    found, *_ = scores(image, visibility(), poses, points, normals, early=(2, hopeless))
     assert whole[0] == pytest.approx((1 - VIOLATION) / 2, abs=0.02)
     assert found[0] == pytest.approx(-VIOLATION, abs=0.02)
     assert found[1] == whole[1]
@@ -199,10 +221,10 @@ def test_scores_of_fingers_are_those_of_brute_force() -> None:
         scores = computed(
             score_configurations,
             (len(q),),
-            wp.vec2,
+            wp.vec3,
             [scene.observation.view, rule, part.pose(q[:, part.joints], wrists)]
             + [len(part.links), part.points, part.normals, part.link, samples, 0, 0.0]
-            + [fixed, 1],
+            + [fixed, 1, wp.zeros(camera.width * camera.height, dtype=float)],
             "cpu",
             work_per_item=samples,
             shared=True,

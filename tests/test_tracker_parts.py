@@ -215,7 +215,7 @@ def test_links_count_as_seen_as_the_estimator_counts_them(held: HeldObject) -> N
     visibility = HandVisibility(held.observation, held.hand, shared)
     for i in np.flatnonzero(~held.hand.is_palm):
         link = PackedPart(held.hand.hand, [int(i)], "cpu")
-        score, seen = visibility.score(
+        score, seen, _ = visibility.score(
             link, found.joint_vector[None, link.joints], found.T_camera_hand[None]
         )
         supported = score[0] > shared.certain_support * max(seen[0], shared.min_seen)

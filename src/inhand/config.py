@@ -150,6 +150,8 @@ class HandStateConfig(Section):
     """Depth agreement when refined configurations are compared [m]."""
     noise_tolerance: NonNegative = 2.0
     """Depth agreement at least, in standard deviations of the image's noise."""
+    wrist_slack: NonNegative = 0.003
+    """A finger that is searched may lie so far beside where the wrist puts it [m]."""
     violation: NonNegative = 2.0
     """Penalty of a surface point that the camera looked through, in units of one agreeing point."""
     missing: NonNegative = 0.5

@@ -176,7 +176,7 @@ class Snapper:
         s, joints = self.snap, fitted.copy()
         for finger in self.hand.fingers:
             both = np.stack([given, fitted])[:, finger.joints]
-            score, _ = search.visibility.score(finger, both, T)
+            score = search.visibility.score(finger, both, T).strict
             way = np.abs(both[1] - both[0]) / search.scale[finger.joints]
             if way.max() > s.idle_way and score[1] - score[0] < s.idle_gain:
                 joints[finger.joints] = both[0]

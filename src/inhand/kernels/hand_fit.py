@@ -94,7 +94,8 @@ def score_configurations(
     hopeless: float,
     fixed_depth: wp.array(dtype=float),
     fixed_step: int,
-    score: wp.array(dtype=wp.vec2),
+    nearest: wp.array(dtype=float),
+    score: wp.array(dtype=wp.vec3),
     first: int,
 ):
     """One work item a configuration: mean judgement of its camera-facing surface samples.
@@ -106,15 +107,18 @@ def score_configurations(
             that; 0 leaves none.
         fixed_depth: rendered depth [m] of the parts that do not move, at every `fixed_step`-th
             pixel; what they hide is left out.
-        score: out, mean judgement weighted by the projected area, and the share of the projected
-            area that nothing hides.
+        nearest: least depth [m] around these pixels, 0 for none: samples that are looked through
+            are excused where it is no farther than they are.
+        score: out, mean judgement weighted by the projected area, the share of the projected area
+            that nothing hides, and the mean judgement with excuses.
     """
     item, lane = wp.tid()
     c = first + item
     total = float(0.0)
+    excused = float(0.0)
     open_area = float(0.0)
     area = wp.where(lane == 0, 1.0e-6, 0.0)
-    sums = wp.vec3()
+    sums = wp.vec4()
     early = wp.min(early_samples, n_samples)
     for span in range(2):
         start, end = wp.where(span == 0, 0, early), wp.where(span == 0, early, n_samples)
@@ -132,17 +136,24 @@ def score_configurations(
             if pixel < 0:
                 continue
             # What something else hides, or explains already, says nothing.
-            other = fixed_depth[coarse_pixel(view.camera, fixed_step, p)]
+            coarse = coarse_pixel(view.camera, fixed_step, p)
+            other = fixed_depth[coarse]
             if other > 0.0 and other < p[2] + rule.tolerance:
                 continue
             d = view.depth[pixel]
             if d <= 0.0 or d > p[2] - rule.tolerance:
                 open_area += facing
             total += facing * judge_point(view, rule, p, n, pixel)
-        sums = wp.vec3(block_sum(total), block_sum(open_area), block_sum(area))
-        if span == 0 and early > 0 and sums[0] < hopeless * sums[2]:
+            if d > p[2] + rule.tolerance:
+                beside = nearest[coarse]
+                if beside > 0.0 and beside < p[2] + rule.tolerance:
+                    excused += facing * rule.violation
+        sums = wp.vec4(
+            block_sum(total), block_sum(open_area), block_sum(total + excused), block_sum(area)
+        )
+        if span == 0 and early > 0 and sums[2] < hopeless * sums[3]:
             break
-    score[c] = wp.vec2(sums[0], sums[1]) / sums[2]
+    score[c] = wp.vec3(sums[0], sums[1], sums[2]) / sums[3]
 
 
 SupportSums = wp.types.vector(length=6, dtype=float)

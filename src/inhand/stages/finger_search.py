@@ -10,10 +10,10 @@ from scipy.stats import qmc
 from inhand.config import HandStateConfig
 from inhand.geometry.se3 import Array
 from inhand.hand import Hand
-from inhand.kernels.launch import on_host
+from inhand.kernels.launch import on_device, on_host
 from inhand.kinematics import PRISMATIC
 from inhand.packed import PackedHand, PackedPart
-from inhand.stages.hand_visibility import HandVisibility
+from inhand.stages.hand_visibility import HandVisibility, Scores, nearest_around
 from inhand.stages.observation import Observation
 from inhand.stages.results import Configurations
 
@@ -40,6 +40,8 @@ class FingerSearch:
         self.scale[slides] = config.slide_scale
         self.camera = observation.camera.subsampled(config.render_step)
         self.visibility = HandVisibility(observation, hand, config)
+        nearest = nearest_around(observation, config.wrist_slack, config.render_step)
+        self._nearest = on_device(nearest, float, hand.device)
         self._palm_depth: Any = None
 
     def alternatives(
@@ -49,13 +51,14 @@ class FingerSearch:
         and many more that the image allows.
 
         All fingers are searched alone first, by a few samples; then in the order of their scores,
-        each beside those before it, among its better configurations.
+        each beside those before it, among its better configurations. A wrist that is a degree off
+        puts a finger beside itself, so lenient scores decide what is refined.
         """
         fingers, q = self.packed.fingers, self.hand.rest.copy()
         there = self._palm(q, T_camera_hand)
         found = [configurations(f, self.hand, self.config.samples) for f in fingers]
         scores = [
-            self._score(finger, tried, T_camera_hand[None], there, self._first_rule)
+            self._score(finger, tried, T_camera_hand[None], there, self._first_rule).lenient
             for finger, tried in zip(fingers, found, strict=True)
         ]
         order = np.argsort([-score.max() for score in scores])
@@ -65,10 +68,11 @@ class FingerSearch:
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
             tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
-            score = self._score(fingers[i], tried, T_camera_hand[None], there, self._coarse_rule)
-            best = np.argsort(-score, kind="stable")
-            tried, score = tried[best], score[best]
-            allowed[i] = Configurations(tried[: self.config.allowed], score[: self.config.allowed])
+            rule = self._coarse_rule
+            strict, _, score = self._score(fingers[i], tried, T_camera_hand[None], there, rule)
+            best = np.argsort(-strict, kind="stable")[: self.config.allowed]
+            allowed[i] = Configurations(tried[best], strict[best])
+            tried = tried[np.argsort(-score, kind="stable")]
             found[i] = self._look_around(fingers[i], tried, T_camera_hand, there, rng)
             q[fingers[i].joints] = found[i][0]
         return found, tuple(allowed[i] for i in range(len(fingers)))
@@ -82,7 +86,8 @@ class FingerSearch:
         """
         fingers, there = self.packed.fingers, self._palm(q[0], T_camera_hand[0])
         alone = [
-            self._score(f, q[:, f.joints], T_camera_hand, there, self._fine_rule) for f in fingers
+            self._score(f, q[:, f.joints], T_camera_hand, there, self._fine_rule).strict
+            for f in fingers
         ]
         best = np.sum(alone, axis=0).argmax()
         T, combined = T_camera_hand[best], q[best].copy()
@@ -91,7 +96,8 @@ class FingerSearch:
             joints, score = fingers[i].joints, alone[i]
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(combined, T))
-                score = self._score(fingers[i], q[:, joints], T_camera_hand, there, self._fine_rule)
+                rule = self._fine_rule
+                score = self._score(fingers[i], q[:, joints], T_camera_hand, there, rule).strict
             combined[joints] = q[score.argmax(), joints]
         return combined, T
 
@@ -102,9 +108,10 @@ class FingerSearch:
         T_camera_hand: Array,
         others: Any,
         rule: tuple[float, int],
-    ) -> Array:
-        """Scores (c,) beside what else is there, by a depth agreement [m] and samples of a link."""
-        return self.visibility.score(finger, joints, T_camera_hand, others, *rule)[0]
+    ) -> Scores:
+        """Scores beside what else is there, by a depth agreement [m] and samples of a link."""
+        score = self.visibility.score
+        return score(finger, joints, T_camera_hand, others, *rule, nearest=self._nearest)
 
     def _look_around(
         self,
@@ -127,7 +134,7 @@ class FingerSearch:
         around = centres[:, None] + spread * scale
         around = np.clip(around, self.hand.lower[joints], self.hand.upper[joints])
         flat = around.reshape(-1, len(joints))
-        score = self._score(finger, flat, T_camera_hand[None], others, self._fine_rule)
+        score = self._score(finger, flat, T_camera_hand[None], others, self._fine_rule).strict
         score = score.reshape(len(centres), -1)
         best = around[np.arange(len(centres)), score.argmax(axis=1)]
         return best[np.argsort(-score.max(axis=1))]

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 
 from inhand.config import EvidenceConfig, HandStateConfig
 from inhand.kernels.hand_fit import SupportSums, Visibility, link_support, score_configurations
@@ -15,6 +16,17 @@ from inhand.packed import PackedHand, PackedPart, device_poses
 from inhand.stages.observation import Observation
 
 Array = NDArray[np.float64]
+
+
+class Scores(NamedTuple):
+    """Of hand states, shape (c,) each."""
+
+    strict: Array
+    """Visibility scores."""
+    seen: Array
+    """Shares of the part that nothing hides."""
+    lenient: Array
+    """Scores without penalties for what an error of the wrist may explain."""
 
 
 class HandVisibility:
@@ -42,8 +54,9 @@ class HandVisibility:
         others: Any = None,
         tolerance: float | None = None,
         points: int | None = None,
-    ) -> tuple[Array, Array]:
-        """Visibility score of a part and the share of it that nothing hides, (c,) each.
+        nearest: Any = None,
+    ) -> Scores:
+        """Visibility scores of a part.
 
         Args:
             part: the links that are scored.
@@ -53,6 +66,8 @@ class HandVisibility:
                 `render_step`-th pixel; what they hide or explain does not count.
             tolerance: depth agreement [m], by default the fine one; more if the image is noisy.
             points: surface samples of every link that are used at most.
+            nearest: result of `nearest_around` at that step, on the device: what is looked through
+                beside something as near counts in strict scores only.
         """
         config = self._config
         rule = visibility_rule(config, max(tolerance or config.fine_tolerance, self._noise))
@@ -60,10 +75,28 @@ class HandVisibility:
         inputs = [self._view, rule, part.pose(q, T_camera_hand), len(part.links), part.points]
         inputs += [part.normals, part.link, samples, config.early_points]
         inputs += [config.hopeless, self._nothing if others is None else others, config.render_step]
+        inputs += [self._nothing if nearest is None else nearest]
         shape, work = (len(q),), 2 * samples
         kernel, device = score_configurations, part.device
-        scores = computed(kernel, shape, wp.vec2, inputs, device, work_per_item=work, shared=True)
-        return scores[:, 0].astype(np.float64), scores[:, 1].astype(np.float64)
+        scores = computed(kernel, shape, wp.vec3, inputs, device, work_per_item=work, shared=True)
+        return Scores(*scores.T.astype(np.float64))
+
+
+def nearest_around(observation: Observation, distance: float, step: int) -> NDArray[np.float32]:
+    """Least depth [m] of the readings up to `distance` [m] beside every `step`-th pixel, flat, inf
+    where there are none.
+
+    The distance is that at the middle of the region of interest, in whole steps.
+    """
+    depth = np.where(observation.depth > 0, observation.depth, np.float32(np.inf))
+    for _ in range(2):  # rows, then columns
+        least = depth[::step].copy()
+        for k in range(1, step):
+            more = depth[k::step]
+            np.minimum(least[: len(more)], more, out=least[: len(more)])
+        depth = least.T
+    radius = round(distance * observation.camera.fx / observation.sphere[0][2] / step)
+    return np.ascontiguousarray(minimum_filter(depth, 2 * radius + 1)).reshape(-1)
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ def fit_wrist(
 
     def score(T_camera_hand: Array, tolerance: float, points: int) -> Array:
         no_joints = np.zeros((len(T_camera_hand), 0))
-        return visibility.score(hand.palm, no_joints, T_camera_hand, None, tolerance, points)[0]
+        return visibility.score(hand.palm, no_joints, T_camera_hand, None, tolerance, points).strict
 
     tried = _around(observation.T_camera_hand, config, rng)
     scores = score(tried, hand_config.coarse_tolerance, hand_config.coarse_points)

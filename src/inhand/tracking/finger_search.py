@@ -49,9 +49,9 @@ def find_lost_fingers(
         tried = _configurations(finger, q, scale, hand, config, rng)
         others = _others(observation, hand, obj, finger, track, q, config)
         wrist = track.T_camera_hand[None]
-        score, _ = visibility.score(
+        score = visibility.score(
             finger, tried, wrist, others, shared.coarse_tolerance, shared.coarse_points
-        )
+        ).strict
         best = int(score.argmax())
         if score[best] < max(score[0] + c.lead, c.least):
             continue
