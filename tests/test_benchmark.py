@@ -151,8 +151,9 @@ class ToldEstimator:
         both = SimpleNamespace(T_camera_object=np.stack([wrong, right]), score=np.zeros(2))
         wrist = SimpleNamespace(T_camera_hand=frame.truth.T_camera_hand)
         stages = dict.fromkeys(STAGE_FIELDS)
-        stages |= {"observation": SimpleNamespace(points=points), "wrist": wrist}
-        stages["hand_state"] = wrist
+        cloud = SimpleNamespace(points=points)
+        observation = SimpleNamespace(camera=camera, step=1, cloud=lambda _step: cloud)
+        stages |= {"observation": observation, "wrist": wrist, "hand_state": wrist}
         if order != "hidden":
             kept = points[is_object]
             stages["segment"] = SimpleNamespace(points=kept, weight=np.ones(len(kept)))
