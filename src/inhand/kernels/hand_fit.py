@@ -107,10 +107,10 @@ def score_configurations(
             that; 0 leaves none.
         fixed_depth: rendered depth [m] of the parts that do not move, at every `fixed_step`-th
             pixel; what they hide is left out.
-        nearest: least depth [m] around these pixels, 0 for none: samples that are looked through
-            are excused where it is no farther than they are.
+        nearest: least depth [m] around these pixels, 0 or infinite for none: samples that are
+            looked through are excused where it is no farther than they are.
         score: out, mean judgement weighted by the projected area, the share of the projected area
-            that nothing hides, and the mean judgement with excuses.
+            that nothing hides, and the mean judgement where the excused count 0.
     """
     item, lane = wp.tid()
     c = first + item

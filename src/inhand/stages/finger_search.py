@@ -68,11 +68,10 @@ class FingerSearch:
             if rank > 0:
                 there = self._beside(there, fingers[order[rank - 1]], self._poses(q, T_camera_hand))
             tried = tried[np.argsort(-score, kind="stable")[: self.config.shortlist]]
-            rule = self._coarse_rule
-            strict, _, score = self._score(fingers[i], tried, T_camera_hand[None], there, rule)
-            best = np.argsort(-strict, kind="stable")[: self.config.allowed]
-            allowed[i] = Configurations(tried[best], strict[best])
-            tried = tried[np.argsort(-score, kind="stable")]
+            score = self._score(fingers[i], tried, T_camera_hand[None], there, self._coarse_rule)
+            best = np.argsort(-score.strict, kind="stable")[: self.config.allowed]
+            allowed[i] = Configurations(tried[best], score.strict[best])
+            tried = tried[np.argsort(-score.lenient, kind="stable")]
             found[i] = self._look_around(fingers[i], tried, T_camera_hand, there, rng)
             q[fingers[i].joints] = found[i][0]
         return found, tuple(allowed[i] for i in range(len(fingers)))
