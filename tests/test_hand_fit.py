@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from inhand.camera import Camera
 from inhand.config import HandStateConfig
-from inhand.geometry.se3 import exp
+from inhand.geometry.se3 import exp, transform
 from inhand.kernels.hand_fit import Visibility, score_configurations
 from inhand.kernels.launch import computed, on_host
 from inhand.packed import device_poses
@@ -253,6 +253,19 @@ def test_distances_to_the_posed_hand(seed: int, farthest: float) -> None:
     # Fields are kept in half precision. At the border between two voxels rounding decides.
     assert np.mean(np.abs(found - expected) < 2e-6 + 2**-11 * np.abs(expected)) > 0.98
     np.testing.assert_allclose(found, expected, atol=0.001)
+
+
+def test_distances_to_a_posed_object_are_those_of_a_cylinder() -> None:
+    scene, farthest, rng = held_object("cylinder"), 0.01, np.random.default_rng(0)
+    mesh, T = scene.obj.model.mesh, scene.T_camera_object
+    radius, half = (0.5 * np.ptp(mesh.vertices[:, axis]) for axis in (0, 2))
+    local = rng.uniform(-1, 1, (500, 3)) * [1.5 * radius, 1.5 * radius, 1.3 * half]
+    beside, above = np.hypot(local[:, 0], local[:, 1]) - radius, np.abs(local[:, 2]) - half
+    outside = np.hypot(np.maximum(beside, 0), np.maximum(above, 0))
+    expected = np.minimum(outside + np.minimum(np.maximum(beside, above), 0), farthest)
+    found = scene.obj.distances(transform(T, local).astype(np.float32), T, farthest)
+    # The mesh is a prism of many sides, and its field a grid.
+    np.testing.assert_allclose(found, expected, atol=0.0006)
 
 
 def test_distances_to_several_posed_hands() -> None:

@@ -4,25 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from held_object import HeldObject, Q, held_object
+from held_object import CAMERA, HeldObject, Q, held_object
 
-from inhand import EstimatorConfig, PoseEstimator
+from inhand import EstimatorConfig, PoseEstimator, estimator
 from inhand.config import SecondLookConfig
+from inhand.evaluation.metrics import ObjectMetric
 from inhand.stages.results import HandState, PoseSet, Segment, Selection
-from inhand.stages.second_look import doubted, hands_in_segment
+from inhand.stages.second_look import doubted, hands_in_segment, with_missed_fingers
 from inhand.synth.scene import Scene
 
 CONFIG = EstimatorConfig()
 
 
-def missed_finger(scene: HeldObject, number: int = 0) -> HandState:
-    """The true hand, but for one finger that is wide open."""
+def missed_finger(scene: HeldObject, *numbers: int) -> HandState:
+    """The true hand, but for some fingers, by default the first, that are wide open."""
     hand, state = scene.hand, scene.hand_state
-    finger = hand.fingers[number]
-    q = state.joint_vector.copy()
-    q[finger.joints] = hand.hand.lower[finger.joints]
-    certain = state.certain.copy()
-    certain[finger.links] = False
+    q, certain = state.joint_vector.copy(), state.certain.copy()
+    for number in numbers or (0,):
+        finger = hand.fingers[number]
+        q[finger.joints] = hand.hand.lower[finger.joints]
+        certain[finger.links] = False
     poses = hand.link_poses(q[None], state.T_camera_hand[None])[0]
     return HandState(q, state.T_camera_hand, poses, certain)
 
@@ -74,6 +75,84 @@ def test_the_object_is_no_finger() -> None:
     scene = held_object("cuboid")
     missed = missed_finger(scene)
     assert hands_in_segment(scene.observation, missed, scene.segment, scene.hand, CONFIG) == []
+
+
+def joined(*segments: Segment) -> Segment:
+    """All their points."""
+    names = ("points", "normals", "hand_distance", "weight")
+    return Segment(*(np.concatenate([getattr(s, name) for s in segments]) for name in names))
+
+
+def left_by_the_object(
+    scene: HeldObject, missed: HandState, segment: Segment, poses: int = 1
+) -> HandState | None:
+    """The hand with missed fingers where the true object leaves what they explain."""
+    T = scene.T_camera_object[None].astype(np.float32)[:poses]
+    found = Selection(PoseSet(T, np.ones(poses, dtype=np.float32)), 0.9, missed.joint_vector)
+    parts = scene.observation, missed, found, segment, scene.hand, scene.obj
+    return with_missed_fingers(*parts, CONFIG)
+
+
+@pytest.mark.parametrize("missed", [(0,), (1,), (0, 1)])
+def test_fingers_are_found_in_what_the_object_leaves(missed: tuple[int, ...]) -> None:
+    scene = held_object("industrial_part")
+    fingers = [finger_as_segment(scene, number) for number in missed]
+    state = missed_finger(scene, *missed)
+    found = left_by_the_object(scene, state, joined(scene.segment, *fingers))
+    assert found is not None
+    assert np.abs(found.joint_vector - Q).max() < np.radians(3)
+    assert found.certain.all()
+    np.testing.assert_allclose(
+        found.T_camera_link,
+        scene.hand.link_poses(found.joint_vector[None], found.T_camera_hand[None])[0],
+        atol=1e-6,
+    )
+
+
+def test_no_finger_is_found_where_none_was_missed() -> None:
+    scene = held_object("industrial_part")
+    finger, missed = finger_as_segment(scene), missed_finger(scene)
+    every = joined(scene.segment, finger)
+    few = np.zeros(len(every.points), dtype=bool)
+    few[: len(scene.segment.points)] = True
+    few[-int(CONFIG.second_look.least_left) + 1 :] = True
+    for state, segment, poses in (
+        (missed, scene.segment, 1),  # the object explains all
+        (missed, every.take(few), 1),  # hardly anything is left
+        (scene.hand_state, every, 1),  # the hand explains the rest
+        (replace(missed, certain=scene.hand_state.certain), every, 1),  # it shows elsewhere
+        (missed, every, 0),  # there is no answer
+    ):
+        assert left_by_the_object(scene, state, segment, poses) is None
+
+
+def test_readings_of_something_else_are_no_finger() -> None:
+    scene = held_object("industrial_part")
+    aside = replace(finger_as_segment(scene), points=scene.segment.points[:1] + 0.2)
+    aside = replace(aside, points=np.repeat(aside.points, len(aside.weight), axis=0))
+    segment = joined(scene.segment, aside)
+    assert left_by_the_object(scene, missed_finger(scene), segment) is None
+
+
+@pytest.mark.parametrize("sure", [0.0, 1.0])
+def test_an_answer_has_the_finger_that_was_missed(
+    sure: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = held_object("cuboid")
+    missed, depth = missed_finger(scene), scene.depth
+    monkeypatch.setattr(estimator, "estimate_hand_state", lambda *args: missed)
+    look = replace(CONFIG.second_look, doubt_below=sure)  # 1: every answer is looked for again
+    models = scene.hand.hand, scene.obj.model
+    found, stages = PoseEstimator(*models, replace(CONFIG, second_look=look), "cpu").run(
+        depth, CAMERA, scene.hand_state.T_camera_hand
+    )
+    assert found.found
+    joints = [found.joint_positions[name] for name in scene.hand.hand.joint_names]
+    assert np.abs(np.array(joints) - Q).max() < np.radians(3)
+    error = ObjectMetric(scene.obj.model).adi(found.T_camera_object, scene.T_camera_object)
+    assert error < 0.002
+    assert stages.hand_state is not None
+    assert stages.hand_state.certain.all()
 
 
 def answer(confidence: float) -> Selection:

@@ -166,7 +166,7 @@ def test_readings_on_the_surface_and_how_far_off_they_are() -> None:
     points = transform(scene.T_camera_object, local).astype(np.float32)
     weight = np.array([1, 1, 0.5, 0.5, 1], dtype=np.float32)
     segment = Segment(points, np.zeros_like(points), np.zeros_like(weight), weight)
-    number, off = readings_on(segment, scene.T_camera_object, scene.obj.model, CONFIG)
+    number, off = readings_on(segment, scene.T_camera_object, scene.obj, CONFIG)
     assert number == 3
     assert off == pytest.approx((0.0005 + 0.5 * 0.001 + 0.5 * 0.003) / 3, abs=2e-5)
 

@@ -555,7 +555,7 @@ class SecondLookConfig(Section):
     """About so many segment points are held against them."""
     doubt_below: Share = 0.95
     """An answer of a smaller confidence is doubted if a finger without support could explain most
-    of the segment; 0: none is."""
+    of the segment, and is looked for again if fingers explain what it leaves; 0: none is."""
     undoubted: Share = 0.6
     """A finger that could explain no more of it than this does not speak against the answer."""
     doubt: NonNegative = 16.5
@@ -568,6 +568,11 @@ class SecondLookConfig(Section):
     """A finger that explains less of the segment afterwards is no answer."""
     link_explained: Share = 0.1
     """A link that explains more of the segment is relied on."""
+    left_explained: Share = 0.5
+    """A finger without support goes where it explains such a share of the readings that object and
+    hand leave; 1: none does."""
+    least_left: NonNegative = 20.0
+    """It explains so many of them at least."""
     iterations: int = 10
     """Gauss-Newton iterations of a hand."""
 
@@ -616,5 +621,5 @@ class EstimatorConfig(Section):
             pruning=PruningConfig(method="physics"),
             selection=SelectionConfig(method="render"),
             first_look=FirstLookConfig(enough=1.0),
-            second_look=SecondLookConfig(below=0.0, doubt_below=0.0),
+            second_look=SecondLookConfig(below=0.0, doubt_below=0.0, left_explained=1.0),
         )

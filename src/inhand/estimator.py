@@ -31,7 +31,7 @@ from inhand.stages.observation import Observation, observe
 from inhand.stages.pruning import prune
 from inhand.stages.refinement import refine
 from inhand.stages.results import HandState, PoseSet, Segment, Selection, Wrist
-from inhand.stages.second_look import doubted, hands_in_segment
+from inhand.stages.second_look import doubted, hands_in_segment, with_missed_fingers
 from inhand.stages.segmentation import segment_object
 from inhand.stages.selection import select
 from inhand.stages.wrist import fit_wrist
@@ -195,28 +195,59 @@ class PoseEstimator:
         yield (r := replace(r, hand_state=state))
 
         best, searches = r, (c,) if c.first_look.enough == 1 else (c.quick, c)
-        for reached in self._object_stages(r, searches, clock, rng):
+        for reached in self._object_stages(r, clock, rng, searches):
             yield (best := reached)
+        yield from self._second_looks(best, r, clock, rng, searches[:1])
+
+    def _second_looks(
+        self, best: StageResults, r: StageResults, clock: Clock, *how: Any
+    ) -> Iterator[StageResults]:
+        """Better results than the `best` so far, as `_stages`, with fingers that were missed.
+
+        `r`: results up to the hand; `how`: further arguments of `_object_stages`.
+        """
+        c, hand, obj, observation = self.config, self.hand, self.object, r.observation
         if best.segment is not None and best.confidence < c.second_look.below:
             for other in clock.time(
-                "second_look", hands_in_segment, observation, state, best.segment, hand, c
+                "second_look", hands_in_segment, observation, r.hand_state, best.segment, hand, c
             ):
-                again = self._second_look(replace(r, hand_state=other), searches[:1], clock, rng)
+                again = self._with_hand(replace(r, hand_state=other), clock, *how)
                 if again.confidence > best.confidence:
                     yield (best := again)
-        if best.selection is not None and best.confidence < c.second_look.doubt_below:
-            doubts = best.selection, best.hand_state, best.segment, hand, c.second_look
-            yield replace(best, selection=clock.time("second_look", doubted, *doubts))
+        yield (best := self._doubted(best, clock))
 
-    def _second_look(self, r: StageResults, *args: Any) -> StageResults:
+        while best.selection is not None and c.second_look.left_explained < 1:
+            answer = observation, best.hand_state, best.selection, best.segment
+            fuller = clock.time("missed_fingers", with_missed_fingers, *answer, hand, obj, c)
+            if fuller is None:
+                return
+            selection = replace(best.selection, joint_vector=fuller.joint_vector)
+            if best.confidence < c.second_look.doubt_below:
+                again = self._with_hand(replace(r, hand_state=fuller), clock, *how)
+                again = self._doubted(again, clock)
+                if again.confidence > best.confidence:
+                    yield (best := again)
+                    continue
+            yield replace(best, hand_state=fuller, selection=selection)
+            return
+
+    def _with_hand(self, r: StageResults, clock: Clock, *how: Any) -> StageResults:
         """The object stages' results with another hand, as far as they come."""
         with suppress(NoAnswer):
-            for reached in self._object_stages(r, *args):
+            for reached in self._object_stages(r, clock, *how):
                 r = reached
         return r
 
+    def _doubted(self, r: StageResults, clock: Clock) -> StageResults:
+        """Results that are less sure if a finger may have been missed."""
+        c = self.config.second_look
+        if r.selection is None or r.confidence >= c.doubt_below:
+            return r
+        doubts = r.selection, r.hand_state, r.segment, self.hand, c
+        return replace(r, selection=clock.time("second_look", doubted, *doubts))
+
     def _object_stages(
-        self, r: StageResults, searches: Sequence[EstimatorConfig], clock: Clock, rng: Generator
+        self, r: StageResults, clock: Clock, rng: Generator, searches: Sequence[EstimatorConfig]
     ) -> Iterator[StageResults]:
         """The stages that follow the hand's, as `_stages`; one search after the other until the
         answer is sure."""

@@ -120,10 +120,7 @@ class PackedHand:
             finger: if given, the links are those of this finger, and only these.
         """
         fields = self.fields if finger is None else self.finger_fields[finger]
-        used, shape = links.astype(np.int32), (len(T_camera_link) // len(links), len(points))
-        inputs = [on_device(points, wp.vec3, self.device), fields, T_camera_link]
-        inputs += [on_device(used, int, self.device), farthest]
-        return computed(hand_distances, shape, float, inputs, self.device, work_per_item=20)
+        return _distances(points, fields, T_camera_link, links, farthest, self.device)
 
     def render(
         self,
@@ -224,6 +221,35 @@ class PackedObject:
         self.surface = pack(Surface, device, points=few, fields=self.fields, centre=centre)
         self.pairs = pack(PairTable, device, **vars(model.pairs), **vars(model.surface))
         self.renderer = DepthRenderer([model.mesh], device)
+
+    def distances(
+        self, points: NDArray[np.float32], T_camera_object: NDArray[Any], farthest: float
+    ) -> NDArray[np.float32]:
+        """Signed distances [m], (n,), of points to the posed object, cut off at `farthest`.
+
+        Args:
+            points: camera frame [m], shape (n, 3).
+            T_camera_object: pose, shape (4, 4).
+            farthest: [m].
+        """
+        pose, whole = device_poses(T_camera_object, self.device), np.ones(1, dtype=bool)
+        return _distances(points, self.fields, pose, whole, farthest, self.device)[0]
+
+
+def _distances(
+    points: NDArray[np.float32],
+    fields: Any,
+    T_camera_body: Any,
+    used: NDArray[np.bool_],
+    farthest: float,
+    device: str,
+) -> NDArray[np.float32]:
+    """Signed distances [m], (c, n), of points (n, 3) to the nearest body that is `used` (b,), cut
+    off at `farthest`; poses flat, (c * b), on the device."""
+    shape = len(T_camera_body) // len(used), len(points)
+    inputs = [on_device(points, wp.vec3, device), fields, T_camera_body]
+    inputs += [on_device(used, int, device), farthest]
+    return computed(hand_distances, shape, float, inputs, device, work_per_item=20)
 
 
 def _windows(

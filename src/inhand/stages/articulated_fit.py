@@ -110,13 +110,17 @@ class ArticulatedFit:
 
 
 def whole_hand_fit(
-    observation: Observation, hand: PackedHand, prior: WristPrior, config: HandStateConfig
+    observation: Observation,
+    hand: PackedHand,
+    prior: WristPrior,
+    config: HandStateConfig,
+    used: NDArray[np.bool_] | None = None,
 ) -> ArticulatedFit:
-    """The fit of wrist and all joints to what the image shows of all links."""
+    """The fit of wrist and all joints to what the image shows of all links, or of those `used`."""
     return ArticulatedFit(
         observation,
         hand,
-        used=np.ones(len(hand.hand.links), dtype=bool),
+        used=np.ones(len(hand.hand.links), dtype=bool) if used is None else used,
         free=np.ones(len(hand.hand.joint_names), dtype=bool),
         prior=prior,
         point_information=config.point_information,

@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from inhand.config import SelectionConfig
-from inhand.geometry.se3 import Array, inverse, transform
-from inhand.object_model import ObjectModel
+from inhand.geometry.se3 import Array
 from inhand.packed import PackedObject, device_poses
 from inhand.stages.clustering import surface_distances_to
 from inhand.stages.evidence import Evidence, agreement, contact_penalty
@@ -48,7 +47,7 @@ def confidence(
     contact = contact_penalty(evidence, obj, poses, c.contact_points)
     score = seen.sum(axis=1) - contact
     drop = np.clip(score[0] - score[1:], 0, c.precision.max_drop).mean()
-    readings, off = readings_on(segment, first, obj.model, c)
+    readings, off = readings_on(segment, first, obj, c)
     logit = (
         c.confidence_bias
         + c.confidence_visible * min(seen[0, 0], c.max_visible)
@@ -62,7 +61,7 @@ def confidence(
 
 
 def readings_on(
-    segment: Segment, T_camera_object: Array, obj: ObjectModel, config: SelectionConfig
+    segment: Segment, T_camera_object: Array, obj: PackedObject, config: SelectionConfig
 ) -> tuple[float, float]:
     """Number of segment points on the object's surface, and their mean distance to it [m].
 
@@ -75,8 +74,8 @@ def readings_on(
         config: parameters; its `misfit_reach` says what is on the surface.
     """
     stride = max(1, len(segment.points) // config.segment_points)
-    points = transform(inverse(T_camera_object), segment.points[::stride])
-    off = np.abs(obj.distance_field.distance(points))
+    points = segment.points[::stride]
+    off = np.abs(obj.distances(points, T_camera_object, config.misfit_reach))
     weight = segment.weight[::stride] * (off < config.misfit_reach)
     number = float(weight.sum())
     return stride * number, float(weight @ off) / max(number, 1e-6)

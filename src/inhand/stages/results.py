@@ -56,6 +56,12 @@ class Segment:
     """Mean distance [m] of the scene cloud's points at the hand to its surface: what sensor,
     calibration and model leave where all is right; 0 if it is not known."""
 
+    def take(self, which: NDArray[np.bool_]) -> "Segment":
+        """Some of the points, by a mask of shape (n,)."""
+        points, normals, distance = self.points, self.normals, self.hand_distance
+        parts = points[which], normals[which], distance[which], self.weight[which]
+        return Segment(*parts, self.hand_misfit)
+
 
 @dataclass(frozen=True)
 class PoseSet:

@@ -1,4 +1,4 @@
-"""Whether the object segment is a finger that was missed, and the hands that it would make."""
+"""Fingers that were missed, as the object segment or what an answer leaves of it shows."""
 
 import math
 from dataclasses import replace
@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inhand.config import EstimatorConfig, SecondLookConfig
-from inhand.packed import PackedHand, PackedPart
-from inhand.stages.articulated_fit import whole_hand_fit
+from inhand.packed import PackedHand, PackedObject, PackedPart, device_poses
+from inhand.stages.articulated_fit import ArticulatedFit, whole_hand_fit
 from inhand.stages.finger_search import Array, configurations
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment, Selection
@@ -28,17 +28,13 @@ def hands_in_segment(
     of it has no readings, it scores less than out of sight. The configuration that explains most of
     the segment is refined.
     """
-    look, prior = config.second_look, wrist_prior(observation, config.wrist)
-    fit = whole_hand_fit(observation, hand, prior, config.hand_state)
-    widths = np.geomspace(
-        config.hand_state.first_width, config.hand_state.last_width, look.iterations
-    )
+    look, fit = config.second_look, _fit(observation, hand, config)
     points, weights = _thinned(segment, look)
     found = []
     for finger, q, explained in fingers_in_segment(hand_state, segment, hand, look):
         if explained < look.promising:
             continue
-        q, T = fit.refine(q[None], hand_state.T_camera_hand[None], widths)
+        q, T = fit.refine(q[None], hand_state.T_camera_hand[None], _widths(config))
         poses, links = hand.pose(q, T), np.arange(len(hand.hand.links))
         distance = np.concatenate(
             [hand.distances(points, poses, links == link, look.near) for link in finger.links]
@@ -49,6 +45,68 @@ def hands_in_segment(
         certain[finger.links] |= _explained(distance, weights, look) > look.link_explained
         found.append(HandState(q[0], T[0], hand.link_poses(q, T)[0], certain, hand_state.allowed))
     return found
+
+
+def with_missed_fingers(
+    observation: Observation,
+    hand_state: HandState,
+    selection: Selection,
+    segment: Segment,
+    hand: PackedHand,
+    obj: PackedObject,
+    config: EstimatorConfig,
+) -> HandState | None:
+    """The hand with fingers where they explain what an answer leaves of the segment, None if no
+    finger does.
+
+    Of a finger that hardly shows, a few readings are left when the object is known, and tell where
+    it is: one finger after the other takes what it can.
+    """
+    if not len(selection.poses) or hand_state.certain.all():
+        return None
+    look, q, T = config.second_look, selection.joint_vector, hand_state.T_camera_hand
+    on_object = obj.distances(segment.points, selection.T_camera_object[0], look.near)
+    left, found = segment.take(np.abs(on_object) >= look.near), None
+    state = replace(hand_state, joint_vector=q, T_camera_link=hand.link_poses(q[None], T[None])[0])
+    while (left := _beside(state, left, hand, look)).weight.sum() >= look.least_left:
+        fingers = fingers_in_segment(state, left, hand, look)
+        finger, q, share = max(fingers, key=lambda found: found[2], default=(None, q, 0.0))
+        if finger is None or share < max(look.left_explained, look.least_left / left.weight.sum()):
+            break
+        certain = state.certain.copy()
+        certain[finger.links] = True  # it is not moved once more
+        fit = _fit(observation, hand, config, certain)
+        q, T = fit.refine(q[None], state.T_camera_hand[None], _widths(config))
+        links = hand.link_poses(q, T)[0]
+        found = state = HandState(q[0], T[0], links, certain, state.allowed)
+    return found
+
+
+def _beside(
+    hand_state: HandState, segment: Segment, hand: PackedHand, config: SecondLookConfig
+) -> Segment:
+    """What a hand leaves of a segment."""
+    poses = device_poses(hand_state.T_camera_link, hand.device)
+    every_link = np.ones(len(hand.hand.links), dtype=bool)
+    distance = hand.distances(segment.points, poses, every_link, config.near)[0]
+    return segment.take(np.abs(distance) >= config.near)
+
+
+def _fit(
+    observation: Observation,
+    hand: PackedHand,
+    config: EstimatorConfig,
+    used: NDArray[np.bool_] | None = None,
+) -> ArticulatedFit:
+    """The fit of the whole hand to what the image shows of all links, or of those `used` (L,)."""
+    prior = wrist_prior(observation, config.wrist)
+    return whole_hand_fit(observation, hand, prior, config.hand_state, used)
+
+
+def _widths(config: EstimatorConfig) -> Array:
+    """Of the redescending weight, in every iteration of that fit [m]."""
+    c = config.hand_state
+    return np.geomspace(c.first_width, c.last_width, config.second_look.iterations)
 
 
 def doubted(
