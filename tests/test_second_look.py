@@ -79,8 +79,12 @@ def test_the_object_is_no_finger() -> None:
 
 def joined(*segments: Segment) -> Segment:
     """All their points."""
-    names = ("points", "normals", "hand_distance", "weight")
-    return Segment(*(np.concatenate([getattr(s, name) for s in segments]) for name in names))
+    return Segment(
+        np.concatenate([s.points for s in segments]),
+        np.concatenate([s.normals for s in segments]),
+        np.concatenate([s.hand_distance for s in segments]),
+        np.concatenate([s.weight for s in segments]),
+    )
 
 
 def left_by_the_object(
@@ -146,7 +150,7 @@ def test_an_answer_has_the_finger_that_was_missed(
     found, stages = PoseEstimator(*models, replace(CONFIG, second_look=look), "cpu").run(
         depth, CAMERA, scene.hand_state.T_camera_hand
     )
-    assert found.found
+    assert found.T_camera_object is not None
     joints = [found.joint_positions[name] for name in scene.hand.hand.joint_names]
     assert np.abs(np.array(joints) - Q).max() < np.radians(3)
     error = ObjectMetric(scene.obj.model).adi(found.T_camera_object, scene.T_camera_object)
