@@ -571,7 +571,7 @@ class SecondLookConfig(Section):
     left_explained: Share = 0.5
     """A finger without support goes where it explains such a share of the readings that object and
     hand leave; 1: none does."""
-    least_left: NonNegative = 20.0
+    least_left: float = 20.0
     """It explains so many of them at least."""
     iterations: int = 10
     """Gauss-Newton iterations of a hand."""

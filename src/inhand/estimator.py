@@ -197,21 +197,22 @@ class PoseEstimator:
         best, searches = r, (c,) if c.first_look.enough == 1 else (c.quick, c)
         for reached in self._object_stages(r, clock, rng, searches):
             yield (best := reached)
-        yield from self._second_looks(best, r, clock, rng, searches[:1])
+        with_hand = partial(self._with_hand, r, clock, rng, searches[:1])
+        yield from self._second_looks(best, with_hand, clock)
 
     def _second_looks(
-        self, best: StageResults, r: StageResults, clock: Clock, *how: Any
+        self, best: StageResults, with_hand: Callable[[HandState], StageResults], clock: Clock
     ) -> Iterator[StageResults]:
         """Better results than the `best` so far, as `_stages`, with fingers that were missed.
 
-        `r`: results up to the hand; `how`: further arguments of `_object_stages`.
+        `with_hand`: the results with another hand.
         """
-        c, hand, obj, observation = self.config, self.hand, self.object, r.observation
+        c, hand, obj, observation = self.config, self.hand, self.object, best.observation
         if best.segment is not None and best.confidence < c.second_look.below:
             for other in clock.time(
-                "second_look", hands_in_segment, observation, r.hand_state, best.segment, hand, c
+                "second_look", hands_in_segment, observation, best.hand_state, best.segment, hand, c
             ):
-                again = self._with_hand(replace(r, hand_state=other), clock, *how)
+                again = with_hand(other)
                 if again.confidence > best.confidence:
                     yield (best := again)
         yield (best := self._doubted(best, clock))
@@ -223,18 +224,25 @@ class PoseEstimator:
                 return
             selection = replace(best.selection, joint_vector=fuller.joint_vector)
             if best.confidence < c.second_look.doubt_below:
-                again = self._with_hand(replace(r, hand_state=fuller), clock, *how)
-                again = self._doubted(again, clock)
+                again = self._doubted(with_hand(fuller), clock)
                 if again.confidence > best.confidence:
                     yield (best := again)
                     continue
             yield replace(best, hand_state=fuller, selection=selection)
             return
 
-    def _with_hand(self, r: StageResults, clock: Clock, *how: Any) -> StageResults:
-        """The object stages' results with another hand, as far as they come."""
+    def _with_hand(
+        self,
+        r: StageResults,
+        clock: Clock,
+        rng: Generator,
+        searches: Sequence[EstimatorConfig],
+        hand_state: HandState,
+    ) -> StageResults:
+        """The object stages' results with another hand than that of `r`, as far as they come."""
+        r = replace(r, hand_state=hand_state)
         with suppress(NoAnswer):
-            for reached in self._object_stages(r, clock, *how):
+            for reached in self._object_stages(r, clock, rng, searches):
                 r = reached
         return r
 

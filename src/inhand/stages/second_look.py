@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from inhand.config import EstimatorConfig, SecondLookConfig
 from inhand.packed import PackedHand, PackedObject, PackedPart, device_poses
-from inhand.stages.articulated_fit import ArticulatedFit, whole_hand_fit
+from inhand.stages.articulated_fit import whole_hand_fit
 from inhand.stages.finger_search import Array, configurations
 from inhand.stages.observation import Observation
 from inhand.stages.results import HandState, Segment, Selection
@@ -28,13 +29,12 @@ def hands_in_segment(
     of it has no readings, it scores less than out of sight. The configuration that explains most of
     the segment is refined.
     """
-    look, fit = config.second_look, _fit(observation, hand, config)
+    look, found = config.second_look, []
     points, weights = _thinned(segment, look)
-    found = []
     for finger, q, explained in fingers_in_segment(hand_state, segment, hand, look):
         if explained < look.promising:
             continue
-        q, T = fit.refine(q[None], hand_state.T_camera_hand[None], _widths(config))
+        q, T = _refined(observation, hand, config, q, hand_state.T_camera_hand)
         poses, links = hand.pose(q, T), np.arange(len(hand.hand.links))
         distance = np.concatenate(
             [hand.distances(points, poses, links == link, look.near) for link in finger.links]
@@ -70,13 +70,12 @@ def with_missed_fingers(
     state = replace(hand_state, joint_vector=q, T_camera_link=hand.link_poses(q[None], T[None])[0])
     while (left := _beside(state, left, hand, look)).weight.sum() >= look.least_left:
         fingers = fingers_in_segment(state, left, hand, look)
-        finger, q, share = max(fingers, key=lambda found: found[2], default=(None, q, 0.0))
+        finger, q, share = max(fingers, key=itemgetter(2), default=(None, q, 0.0))
         if finger is None or share < max(look.left_explained, look.least_left / left.weight.sum()):
             break
         certain = state.certain.copy()
         certain[finger.links] = True  # it is not moved once more
-        fit = _fit(observation, hand, config, certain)
-        q, T = fit.refine(q[None], state.T_camera_hand[None], _widths(config))
+        q, T = _refined(observation, hand, config, q, state.T_camera_hand, certain)
         links = hand.link_poses(q, T)[0]
         found = state = HandState(q[0], T[0], links, certain, state.allowed)
     return found
@@ -92,21 +91,20 @@ def _beside(
     return segment.take(np.abs(distance) >= config.near)
 
 
-def _fit(
+def _refined(
     observation: Observation,
     hand: PackedHand,
     config: EstimatorConfig,
+    q: Array,
+    T_camera_hand: Array,
     used: NDArray[np.bool_] | None = None,
-) -> ArticulatedFit:
-    """The fit of the whole hand to what the image shows of all links, or of those `used` (L,)."""
-    prior = wrist_prior(observation, config.wrist)
-    return whole_hand_fit(observation, hand, prior, config.hand_state, used)
-
-
-def _widths(config: EstimatorConfig) -> Array:
-    """Of the redescending weight, in every iteration of that fit [m]."""
-    c = config.hand_state
-    return np.geomspace(c.first_width, c.last_width, config.second_look.iterations)
+) -> tuple[Array, Array]:
+    """Joint vectors (1, n) and wrists (1, 4, 4) that fit the image best near one hand state; only
+    links that are `used` (L,) take part, by default all."""
+    c, prior = config.hand_state, wrist_prior(observation, config.wrist)
+    fit = whole_hand_fit(observation, hand, prior, c, used)
+    widths = np.geomspace(c.first_width, c.last_width, config.second_look.iterations)
+    return fit.refine(q[None], T_camera_hand[None], widths)
 
 
 def doubted(
