@@ -12,7 +12,7 @@ import pytest
 import warp as wp
 from held_object import held_object
 from numpy.typing import NDArray
-from test_second_look import finger_as_segment, missed_finger
+from test_second_look import finger_as_segment, left_by_the_object, missed_finger
 from test_tracker import MOVING, Film
 
 import inhand
@@ -152,6 +152,11 @@ def test_threads_of_a_block_share_a_second_look(request: pytest.FixtureRequest) 
     scene = held_object("industrial_part")
     seen = scene.observation, missed_finger(scene), finger_as_segment(scene), scene.hand
     (expected,) = hands_in_segment(*seen, EstimatorConfig())
+    missed = left_by_the_object(scene, *seen[1:3])
+    assert missed is not None
     request.getfixturevalue("in_blocks")
     (found,) = hands_in_segment(*seen, EstimatorConfig())
     np.testing.assert_allclose(found.joint_vector, expected.joint_vector, atol=1e-4)
+    found_again = left_by_the_object(scene, *seen[1:3])
+    assert found_again is not None
+    np.testing.assert_allclose(found_again.joint_vector, missed.joint_vector, atol=1e-4)

@@ -1,14 +1,17 @@
 """A finger that the image did not seem to support explains what was taken for the object."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from held_object import CAMERA, HeldObject, Q, held_object
 
-from inhand import EstimatorConfig, PoseEstimator, estimator
+from inhand import EstimatorConfig, PoseEstimate, PoseEstimator, estimator
 from inhand.config import SecondLookConfig
+from inhand.estimator import StageResults
 from inhand.evaluation.metrics import ObjectMetric
+from inhand.stages import segmentation
 from inhand.stages.results import HandState, PoseSet, Segment, Selection
 from inhand.stages.second_look import doubted, hands_in_segment, with_missed_fingers
 from inhand.synth.scene import Scene
@@ -105,7 +108,9 @@ def test_fingers_are_found_in_what_the_object_leaves(missed: tuple[int, ...]) ->
     found = left_by_the_object(scene, state, joined(scene.segment, *fingers))
     assert found is not None
     assert np.abs(found.joint_vector - Q).max() < np.radians(3)
-    assert found.certain.all()
+    assert np.abs(found.T_camera_hand - scene.hand_state.T_camera_hand)[:3, 3].max() < 0.001
+    for number in missed:
+        assert found.certain[scene.hand.fingers[number].links].any()
     np.testing.assert_allclose(
         found.T_camera_link,
         scene.hand.link_poses(found.joint_vector[None], found.T_camera_hand[None])[0],
@@ -122,8 +127,8 @@ def test_no_finger_is_found_where_none_was_missed() -> None:
     few[-int(CONFIG.second_look.least_left) + 1 :] = True
     for state, segment, poses in (
         (missed, scene.segment, 1),  # the object explains all
-        (missed, every.take(few), 1),  # hardly anything is left
-        (scene.hand_state, every, 1),  # the hand explains the rest
+        (missed, every.where(few), 1),  # hardly anything is left
+        (replace(scene.hand_state, certain=missed.certain), every, 1),  # the hand explains the rest
         (replace(missed, certain=scene.hand_state.certain), every, 1),  # it shows elsewhere
         (missed, every, 0),  # there is no answer
     ):
@@ -138,25 +143,62 @@ def test_readings_of_something_else_are_no_finger() -> None:
     assert left_by_the_object(scene, missed_finger(scene), segment) is None
 
 
+def test_a_finger_is_not_moved_if_the_image_pulls_it_back() -> None:
+    scene, elsewhere = held_object("industrial_part"), np.array([0.2, 0.4])
+    finger, state = scene.hand.fingers[0], scene.hand_state
+    q, certain = state.joint_vector.copy(), state.certain.copy()
+    q[finger.joints], certain[finger.links[-1]] = elsewhere, False
+    poses = scene.hand.link_poses(q[None], state.T_camera_hand[None])[0]
+    stray = replace(scene, hand_state=replace(state, T_camera_link=poses))
+    segment = joined(scene.segment, finger_as_segment(stray))
+    # The finger could explain these readings, but it is seen where it is.
+    assert left_by_the_object(scene, replace(state, certain=certain), segment) is None
+
+
+def estimated(
+    scene: HeldObject, look: SecondLookConfig, monkeypatch: pytest.MonkeyPatch
+) -> tuple[PoseEstimate, StageResults, int]:
+    """The answer, what the stages made, and how often the object was searched, with a hand of which
+    a finger was missed."""
+    missed, searches = missed_finger(scene), []
+    monkeypatch.setattr(estimator, "estimate_hand_state", lambda *args: missed)
+
+    def segment_object(*args: Any) -> Segment:
+        searches.append(args)
+        return segmentation.segment_object(*args)
+
+    monkeypatch.setattr(estimator, "segment_object", segment_object)
+    config = replace(CONFIG, second_look=look)
+    pose_estimator = PoseEstimator(scene.hand.hand, scene.obj.model, config, "cpu")
+    found, stages = pose_estimator.run(scene.depth, CAMERA, scene.hand_state.T_camera_hand)
+    return found, stages, len(searches)
+
+
 @pytest.mark.parametrize("sure", [0.0, 1.0])
 def test_an_answer_has_the_finger_that_was_missed(
     sure: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = held_object("cuboid")
-    missed, depth = missed_finger(scene), scene.depth
-    monkeypatch.setattr(estimator, "estimate_hand_state", lambda *args: missed)
     look = replace(CONFIG.second_look, doubt_below=sure)  # 1: every answer is looked for again
-    models = scene.hand.hand, scene.obj.model
-    found, stages = PoseEstimator(*models, replace(CONFIG, second_look=look), "cpu").run(
-        depth, CAMERA, scene.hand_state.T_camera_hand
-    )
+    found, stages, searches = estimated(scene, look, monkeypatch)
+    assert searches == 1 + int(sure)
     assert found.T_camera_object is not None
     joints = [found.joint_positions[name] for name in scene.hand.hand.joint_names]
     assert np.abs(np.array(joints) - Q).max() < np.radians(3)
     error = ObjectMetric(scene.obj.model).adi(found.T_camera_object, scene.T_camera_object)
     assert error < 0.002
     assert stages.hand_state is not None
-    assert stages.hand_state.certain.all()
+    assert stages.hand_state.certain[scene.hand.fingers[0].links].any()
+
+
+def test_missed_fingers_are_not_looked_for_if_so_configured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = held_object("cuboid")
+    look = replace(CONFIG.second_look, left_explained=1.0)
+    found, _, _ = estimated(scene, look, monkeypatch)
+    assert found.found
+    assert "missed_fingers" not in found.timings
 
 
 def answer(confidence: float) -> Selection:

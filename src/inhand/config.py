@@ -544,8 +544,8 @@ class FirstLookConfig(Section):
 
 @dataclass(frozen=True)
 class SecondLookConfig(Section):
-    """Trying other hands when the answer is unsure: what was taken for the object may be a finger
-    that was missed."""
+    """Looking for fingers that were missed: in what was taken for the object, when the answer is
+    unsure, and in what the answer leaves over."""
 
     below: Share = 0.6
     """An answer of a smaller confidence is looked at again; 0: none is."""
@@ -561,7 +561,8 @@ class SecondLookConfig(Section):
     doubt: NonNegative = 16.5
     """Log odds taken from the confidence per unit of the share beyond that."""
     near: float = 0.006
-    """A segment point this near to a finger's surface starts to be explained by it [m]."""
+    """A segment point this near to a finger's surface starts to be explained by it [m]. What is
+    farther off the object and all links is left over."""
     promising: Share = 0.15
     """A finger that explains less of the segment, wherever it is, is not refined."""
     explained: Share = 0.3
@@ -569,10 +570,10 @@ class SecondLookConfig(Section):
     link_explained: Share = 0.1
     """A link that explains more of the segment is relied on."""
     left_explained: Share = 0.5
-    """A finger without support goes where it explains such a share of the readings that object and
-    hand leave; 1: none does."""
+    """A finger without support goes where it explains such a share of the segment's points that
+    object and hand leave; 1: none does."""
     least_left: float = 20.0
-    """It explains so many of them at least."""
+    """It explains so many of them at least, however closely they are spaced."""
     iterations: int = 10
     """Gauss-Newton iterations of a hand."""
 

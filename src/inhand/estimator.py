@@ -60,7 +60,10 @@ class Clock:
 
 @dataclass(frozen=True)
 class StageResults:
-    """What every stage returned; None for a stage that was not reached."""
+    """What every stage returned; None for a stage that was not reached.
+
+    Fingers that were found when the object was known are in `hand_state` and `selection` alone.
+    """
 
     observation: Observation | None = None
     wrist: Wrist | None = None
@@ -203,9 +206,10 @@ class PoseEstimator:
     def _second_looks(
         self, best: StageResults, with_hand: Callable[[HandState], StageResults], clock: Clock
     ) -> Iterator[StageResults]:
-        """Better results than the `best` so far, as `_stages`, with fingers that were missed.
+        """What further looks make of the `best` results, as `_stages`: those of other hands if they
+        are surer, a doubt, fingers that were missed.
 
-        `with_hand`: the results with another hand.
+        `with_hand`: the object stages' results with another hand.
         """
         c, hand, obj, observation = self.config, self.hand, self.object, best.observation
         if best.segment is not None and best.confidence < c.second_look.below:
@@ -217,7 +221,9 @@ class PoseEstimator:
                     yield (best := again)
         yield (best := self._doubted(best, clock))
 
-        while best.selection is not None and c.second_look.left_explained < 1:
+        for _ in hand.fingers if c.second_look.left_explained < 1 else []:
+            if best.selection is None:
+                return
             answer = observation, best.hand_state, best.selection, best.segment
             fuller = clock.time("missed_fingers", with_missed_fingers, *answer, hand, obj, c)
             if fuller is None:

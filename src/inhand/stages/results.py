@@ -56,10 +56,10 @@ class Segment:
     """Mean distance [m] of the scene cloud's points at the hand to its surface: what sensor,
     calibration and model leave where all is right; 0 if it is not known."""
 
-    def take(self, which: NDArray[np.bool_]) -> "Segment":
-        """Some of the points, by a mask of shape (n,)."""
+    def where(self, mask: NDArray[np.bool_]) -> "Segment":
+        """The points of which a mask, shape (n,), is true."""
         points, normals, distance = self.points, self.normals, self.hand_distance
-        parts = points[which], normals[which], distance[which], self.weight[which]
+        parts = points[mask], normals[mask], distance[mask], self.weight[mask]
         return Segment(*parts, self.hand_misfit)
 
 

@@ -29,22 +29,13 @@ def hands_in_segment(
     of it has no readings, it scores less than out of sight. The configuration that explains most of
     the segment is refined.
     """
-    look, found = config.second_look, []
-    points, weights = _thinned(segment, look)
-    for finger, q, explained in fingers_in_segment(hand_state, segment, hand, look):
-        if explained < look.promising:
-            continue
-        q, T = _refined(observation, hand, config, q, hand_state.T_camera_hand)
-        poses, links = hand.pose(q, T), np.arange(len(hand.hand.links))
-        distance = np.concatenate(
-            [hand.distances(points, poses, links == link, look.near) for link in finger.links]
-        )
-        if _explained(distance.min(axis=0), weights, look) < look.explained:
-            continue
-        certain = hand_state.certain.copy()
-        certain[finger.links] |= _explained(distance, weights, look) > look.link_explained
-        found.append(HandState(q[0], T[0], hand.link_poses(q, T)[0], certain, hand_state.allowed))
-    return found
+    look, every_link = config.second_look, np.ones(len(hand.hand.links), dtype=bool)
+    moved = (
+        _moved(observation, hand_state, finger, q, segment, hand, config, every_link)
+        for finger, q, share in fingers_in_segment(hand_state, segment, hand, look)
+        if share >= look.promising
+    )
+    return [state for state, share in moved if share >= look.explained]
 
 
 def with_missed_fingers(
@@ -61,24 +52,65 @@ def with_missed_fingers(
 
     Of a finger that hardly shows, a few readings are left when the object is known, and tell where
     it is: one finger after the other takes what it can.
+
+    Args:
+        observation: the image.
+        hand_state: the hand that the answer was found with.
+        selection: the answer.
+        segment: the object segment it was found in.
+        hand, obj: the hand and the object.
+        config: parameters.
     """
     if not len(selection.poses) or hand_state.certain.all():
         return None
     look, q, T = config.second_look, selection.joint_vector, hand_state.T_camera_hand
     on_object = obj.distances(segment.points, selection.T_camera_object[0], look.near)
-    left, found = segment.take(np.abs(on_object) >= look.near), None
+    left, found = segment.where(np.abs(on_object) >= look.near), None
     state = replace(hand_state, joint_vector=q, T_camera_link=hand.link_poses(q[None], T[None])[0])
+    tried: list[PackedPart] = []
     while (left := _beside(state, left, hand, look)).weight.sum() >= look.least_left:
         fingers = fingers_in_segment(state, left, hand, look)
-        finger, q, share = max(fingers, key=itemgetter(2), default=(None, q, 0.0))
-        if finger is None or share < max(look.left_explained, look.least_left / left.weight.sum()):
+        fingers = [found for found in fingers if found[0] not in tried]
+        if not fingers:
             break
-        certain = state.certain.copy()
-        certain[finger.links] = True  # it is not moved once more
-        q, T = _refined(observation, hand, config, q, state.T_camera_hand, certain)
-        links = hand.link_poses(q, T)[0]
-        found = state = HandState(q[0], T[0], links, certain, state.allowed)
+        finger, q, share = max(fingers, key=itemgetter(2))
+        least = max(look.left_explained, look.least_left / float(left.weight.sum()))
+        if share < least:
+            break
+        tried.append(finger)
+        used = state.certain.copy()
+        used[finger.links] = True
+        moved, share = _moved(observation, state, finger, q, left, hand, config, used)
+        if share >= least:
+            found = state = moved
     return found
+
+
+def _moved(
+    observation: Observation,
+    hand_state: HandState,
+    finger: PackedPart,
+    q: Array,
+    segment: Segment,
+    hand: PackedHand,
+    config: EstimatorConfig,
+    used: NDArray[np.bool_],
+) -> tuple[HandState, float]:
+    """The hand refined from joint vector `q` (n,), by those links that are `used` (L,), and the
+    share of a segment that a finger explains then; its links that explain some are relied on."""
+    c, look, prior = config.hand_state, config.second_look, wrist_prior(observation, config.wrist)
+    fit = whole_hand_fit(observation, hand, prior, c, used)
+    widths = np.geomspace(c.first_width, c.last_width, look.iterations)
+    q, T = fit.refine(q[None], hand_state.T_camera_hand[None], widths)
+    points, weights = _thinned(segment, look)
+    poses, links = hand.pose(q, T), np.arange(len(hand.hand.links))
+    distance = np.concatenate(
+        [hand.distances(points, poses, links == link, look.near) for link in finger.links]
+    )
+    certain = hand_state.certain.copy()
+    certain[finger.links] |= _explained(distance, weights, look) > look.link_explained
+    state = HandState(q[0], T[0], hand.link_poses(q, T)[0], certain, hand_state.allowed)
+    return state, float(_explained(distance.min(axis=0), weights, look))
 
 
 def _beside(
@@ -88,23 +120,7 @@ def _beside(
     poses = device_poses(hand_state.T_camera_link, hand.device)
     every_link = np.ones(len(hand.hand.links), dtype=bool)
     distance = hand.distances(segment.points, poses, every_link, config.near)[0]
-    return segment.take(np.abs(distance) >= config.near)
-
-
-def _refined(
-    observation: Observation,
-    hand: PackedHand,
-    config: EstimatorConfig,
-    q: Array,
-    T_camera_hand: Array,
-    used: NDArray[np.bool_] | None = None,
-) -> tuple[Array, Array]:
-    """Joint vectors (1, n) and wrists (1, 4, 4) that fit the image best near one hand state; only
-    links that are `used` (L,) take part, by default all."""
-    c, prior = config.hand_state, wrist_prior(observation, config.wrist)
-    fit = whole_hand_fit(observation, hand, prior, c, used)
-    widths = np.geomspace(c.first_width, c.last_width, config.second_look.iterations)
-    return fit.refine(q[None], T_camera_hand[None], widths)
+    return segment.where(np.abs(distance) >= config.near)
 
 
 def doubted(
