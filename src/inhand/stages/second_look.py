@@ -69,11 +69,11 @@ def with_missed_fingers(
     state = replace(hand_state, joint_vector=q, T_camera_link=hand.link_poses(q[None], T[None])[0])
     tried: list[PackedPart] = []
     while (left := _beside(state, left, hand, look)).weight.sum() >= look.least_left:
-        fingers = fingers_in_segment(state, left, hand, look)
-        fingers = [found for found in fingers if found[0] not in tried]
-        if not fingers:
+        places = fingers_in_segment(state, left, hand, look)
+        places = [place for place in places if place[0] not in tried]
+        if not places:
             break
-        finger, q, share = max(fingers, key=itemgetter(2))
+        finger, q, share = max(places, key=itemgetter(2))
         least = max(look.left_explained, look.least_left / float(left.weight.sum()))
         if share < least:
             break
