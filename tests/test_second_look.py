@@ -52,19 +52,21 @@ def finger_as_segment(scene: HeldObject, number: int = 0) -> Segment:
     )
 
 
+def check_true_hand(found: HandState, scene: HeldObject) -> None:
+    """The hand is where it is in the scene, and its links where its joints put them."""
+    assert np.abs(found.joint_vector - Q).max() < np.radians(3)
+    assert np.abs(found.T_camera_hand - scene.hand_state.T_camera_hand)[:3, 3].max() < 0.001
+    links = scene.hand.link_poses(found.joint_vector[None], found.T_camera_hand[None])[0]
+    np.testing.assert_allclose(found.T_camera_link, links, atol=1e-6)
+
+
 @pytest.mark.parametrize("number", range(2))
 def test_a_missed_finger_is_found_in_the_segment(number: int) -> None:
     scene = held_object("industrial_part")
     missed, segment = missed_finger(scene, number), finger_as_segment(scene, number)
     (found,) = hands_in_segment(scene.observation, missed, segment, scene.hand, CONFIG)
-    assert np.abs(found.joint_vector - Q).max() < np.radians(3)
-    assert np.abs(found.T_camera_hand - scene.hand_state.T_camera_hand)[:3, 3].max() < 0.001
+    check_true_hand(found, scene)
     assert found.certain[scene.hand.fingers[number].links].any()
-    np.testing.assert_allclose(
-        found.T_camera_link,
-        scene.hand.link_poses(found.joint_vector[None], found.T_camera_hand[None])[0],
-        atol=1e-6,
-    )
 
 
 def test_a_finger_that_is_certain_stays() -> None:
@@ -107,15 +109,9 @@ def test_fingers_are_found_in_what_the_object_leaves(missed: tuple[int, ...]) ->
     state = missed_finger(scene, *missed)
     found = left_by_the_object(scene, state, joined(scene.segment, *fingers))
     assert found is not None
-    assert np.abs(found.joint_vector - Q).max() < np.radians(3)
-    assert np.abs(found.T_camera_hand - scene.hand_state.T_camera_hand)[:3, 3].max() < 0.001
+    check_true_hand(found, scene)
     for number in missed:
         assert found.certain[scene.hand.fingers[number].links].any()
-    np.testing.assert_allclose(
-        found.T_camera_link,
-        scene.hand.link_poses(found.joint_vector[None], found.T_camera_hand[None])[0],
-        atol=1e-6,
-    )
 
 
 def test_no_finger_is_found_where_none_was_missed() -> None:

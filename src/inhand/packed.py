@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from inhand.camera import Camera
 from inhand.hand import Hand
+from inhand.kernels.bodies import body_distances
 from inhand.kernels.depth import DepthRenderer, pinhole
 from inhand.kernels.fields import fields_of, pack_fields
 from inhand.kernels.hand_depth import trace_bodies
-from inhand.kernels.hand_fit import hand_distances
 from inhand.kernels.hand_terms import FittedHand
 from inhand.kernels.kinematics import Chain, pose_links
 from inhand.kernels.launch import computed, copied, empty, filled, launch, on_device, pack
@@ -249,7 +249,7 @@ def _distances(
     shape = len(T_camera_body) // len(used), len(points)
     inputs = [on_device(points, wp.vec3, device), fields, T_camera_body]
     inputs += [on_device(used, int, device), farthest]
-    return computed(hand_distances, shape, float, inputs, device, work_per_item=20)
+    return computed(body_distances, shape, float, inputs, device, work_per_item=20)
 
 
 def _windows(

@@ -1,4 +1,4 @@
-"""The nearest of several posed rigid bodies."""
+"""The nearest of several posed rigid bodies, such as the links of a hand."""
 
 import warp as wp
 
@@ -48,3 +48,28 @@ def nearest_body(
             nearest = body
             gradient = wp.transform_vector(T, value[1:4])
     return best, gradient, nearest
+
+
+@wp.kernel
+def body_distances(
+    points: wp.array(dtype=wp.vec3),
+    fields: Fields,
+    T_world_body: wp.array(dtype=wp.mat44),
+    used: wp.array(dtype=int),
+    farthest: float,
+    distance: wp.array(dtype=float),
+    first: int,
+):
+    """One work item a pair of scene and point: signed distance [m] to the nearest of the scene's
+    bodies, cut off at `farthest`.
+
+    Args (beyond the obvious):
+        T_world_body: poses of the bodies in all scenes, flat (c * b).
+        used: per body; 0 leaves it out.
+        distance: out, flat (scene, point).
+    """
+    i = first + wp.tid()
+    bodies = i // points.shape[0] * used.shape[0]
+    p = points[i % points.shape[0]]
+    nearest, _gradient, _body = nearest_body(fields, T_world_body, bodies, used, 0, p, farthest)
+    distance[i] = nearest

@@ -257,27 +257,3 @@ def sample_residual(view: DepthView, p: wp.vec3, n: wp.vec3, width: float):
     r = (d / p[2] - 1.0) * wp.dot(n, p)
     w = facing * redescending(r, width) * wp.max(0.0, wp.dot(n, view.normals[pixel]))
     return r, w, pixel
-
-
-@wp.kernel
-def hand_distances(
-    points: wp.array(dtype=wp.vec3),
-    fields: Fields,
-    T_camera_link: wp.array(dtype=wp.mat44),
-    used: wp.array(dtype=int),
-    farthest: float,
-    distance: wp.array(dtype=float),
-    first: int,
-):
-    """One work item a pair of hand state and point: signed distance [m], cut off at `farthest`.
-
-    Args (beyond the obvious):
-        T_camera_link: link poses of all hand states, flat (c * L).
-        used: per link; 0 leaves it out.
-        distance: out, flat (hand state, point).
-    """
-    i = first + wp.tid()
-    links = i // points.shape[0] * used.shape[0]
-    p = points[i % points.shape[0]]
-    nearest, _gradient, _link = nearest_body(fields, T_camera_link, links, used, 0, p, farthest)
-    distance[i] = nearest

@@ -89,7 +89,8 @@ class Selection:
     confidence: float
     """Probability that the first pose is right, 0..1."""
     joint_vector: NDArray[np.float64]
-    """The hand's joints, with hidden fingers placed against the first pose [rad], shape (n,)."""
+    """The hand's joints [rad, m], with hidden fingers placed against the first pose and missed ones
+    where they explain what it leaves, shape (n,)."""
 
     @property
     def T_camera_object(self) -> NDArray[np.float32]:

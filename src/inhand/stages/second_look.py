@@ -68,7 +68,7 @@ def with_missed_fingers(
     left, found = segment.where(np.abs(on_object) >= look.near), None
     state = replace(hand_state, joint_vector=q, T_camera_link=hand.link_poses(q[None], T[None])[0])
     tried: list[PackedPart] = []
-    while (left := _beside(state, left, hand, look)).weight.sum() >= look.least_left:
+    while (left := _left_by_hand(state, left, hand, look)).weight.sum() >= look.least_left:
         places = fingers_in_segment(state, left, hand, look)
         places = [place for place in places if place[0] not in tried]
         if not places:
@@ -113,7 +113,7 @@ def _moved(
     return state, float(_explained(distance.min(axis=0), weights, look))
 
 
-def _beside(
+def _left_by_hand(
     hand_state: HandState, segment: Segment, hand: PackedHand, config: SecondLookConfig
 ) -> Segment:
     """What a hand leaves of a segment."""
